@@ -1,4 +1,4 @@
-"""Fixtures that several rooms share."""
+"""Fixtures shared by several subpackages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-# as the command has it: the matrices are small, and threads inside BLAS only get in each other's way
+# as in the command: the matrices are small, and threads inside BLAS only get in each other's way
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
@@ -35,13 +35,13 @@ gc.disable()  # while tests are collected: nothing of that is garbage
 
 
 def pytest_collection_finish() -> None:
-    """Keep modules and tests out of garbage collection, and run it less often: a tenth of the whole time."""
+    """Keep modules and tests out of garbage collection, and run it less often: it took a tenth of the whole time."""
     gc.freeze()
     gc.set_threshold(10_000, 20, 50)
     gc.enable()
 
 
-_OURS = (b"PM3DOF_", b"ROS_", b"HOME", b"PATH", b"MPL", b"PYTHONPATH", b"XDG_")  # others libraries set as they like
+_OURS = (b"PM3DOF_", b"ROS_", b"HOME", b"PATH", b"MPL", b"PYTHONPATH", b"XDG_")  # libraries change others freely
 
 
 def _state() -> dict[str, Any]:
@@ -84,7 +84,7 @@ def _nothing_left_behind() -> Iterator[None]:
 
 @dataclasses.dataclass(frozen=True)
 class Done:
-    """What a command left: its exit status, and what it printed."""
+    """Result of a command: its exit status and output."""
 
     returncode: int
     stdout: str
@@ -138,7 +138,7 @@ def answer() -> Callable[..., dict[str, Any]]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _coarse_pictures() -> Iterator[None]:
-    """Paint with fewer dots and triangles, which takes half the time; tests/figures paints as everybody does."""
+    """Paint with fewer dots and triangles, in half the time; tests/figures paints at full resolution."""
     from pm3dof_pin.figures import section_map, style
 
     with pytest.MonkeyPatch.context() as patch:
@@ -149,7 +149,7 @@ def _coarse_pictures() -> Iterator[None]:
 
 @pytest.fixture
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make figures and their files, but paint nothing into them; other tests look at pictures."""
+    """Make figures and their files, but paint nothing into them; other tests check pictures."""
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
@@ -255,7 +255,7 @@ def tripod_errors() -> GeometricErrors:
 
 @pytest.fixture(scope="session")
 def redundant_errors(tripod_errors: GeometricErrors) -> GeometricErrors:
-    """The same with one that does nothing to the tool: a turn about the axis of a passive joint."""
+    """The same with one that has no effect on the tool: a rotation about the axis of a passive joint."""
     from pm3dof_pin.errors.error_parameters import GeometricErrors
 
     everything = GeometricErrors(tripod_errors.robot)

@@ -1,4 +1,4 @@
-"""What calibrations of these tests are spared."""
+"""Calibrations of these tests, made cheaper."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 @pytest.fixture(scope="module")
 def small_networks() -> Iterator[None]:
-    """Two of them instead of five, and two decays tried instead of four: most of the time goes into training."""
+    """Two of them instead of five, and two decays instead of four: training takes most of the time."""
     from pm3dof_pin.calibration import neural_network
 
     with pytest.MonkeyPatch.context() as patch:

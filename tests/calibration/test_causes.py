@@ -1,4 +1,4 @@
-"""The usual mistakes in files of measurements are found by trying, and a calibration from them is refused."""
+"""The usual mistakes in measurement files are found by trial, and a calibration from them is refused."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _from_row_15(measurements: Measurements, shift: float) -> Measurements:
 
 
 def _by_distances(measurements: Measurements, place: tuple[float, float, float]) -> Measurements:
-    """Of a point seen from one place and said to be seen from another."""
+    """A point measured from one place and stated to be measured from another."""
     count = len(measurements)
     return replace(
         measurements,
@@ -106,7 +106,7 @@ def test_where_nothing_is_wrong_there_is_no_cause_and_no_objection(
 
 
 def test_a_frame_that_is_a_little_wrong_is_objected_to(measured: Measurements, tripod_errors: GeometricErrors) -> None:
-    """Parameters can stand for some of a turned frame, but only by being many tolerances off."""
+    """Parameters can explain part of a rotated frame, but only by being many tolerances off."""
     spoil, _ = MISTAKES["frame"]
     reasons = objections(calibrate(spoil(measured), tripod_errors, Options("lm")), None)
     assert len(reasons) == 1

@@ -84,7 +84,7 @@ def test_poses_that_a_machine_cannot_take_are_left_out(place: Path, run: Run, mo
 
 @pytest.mark.usefixtures("report_without_pictures")
 def test_a_frame_of_the_instruments_own(place: Path, run: Run, answer: Answer) -> None:
-    """The tracker stands upside down, two metres away."""
+    """The tracker is upside down, two metres away."""
     header, *rows = (place / "m.csv").read_text().splitlines()
     names = header.split(",")
     x, y, z, w, i, j, k = (names.index(name) for name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"))
@@ -292,7 +292,7 @@ def test_the_robot_may_be_named(place: Path, run: Run) -> None:
 
 
 def test_another_robot_of_the_same_name_is_refused(place: Path, run: Run, tmp_path: Path) -> None:
-    """Its guideways are 10 mm lower: its drives stand elsewhere at home."""
+    """Its guideways are 10 mm lower: its drives have other positions at home."""
     folder = Path(shutil.copytree(find_robot("pm3dof").urdf.parent, tmp_path / "urdf"))
     closures = folder / "pm3dof.closures.yaml"
     changed = closures.read_text().replace("0.240272", "0.250272")

@@ -1,4 +1,4 @@
-"""Compensation in a loop with simulated machines: do corrected commands bring the tool where it is wanted?"""
+"""Compensation in a loop with simulated machines: do corrected commands bring the tool to the desired poses?"""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ _CALIBRATED: dict[tuple[int, str], tuple[Measurements, Calibration]] = {}
 
 
 def calibration_from(measured: Measurements, errors: GeometricErrors, method: str) -> Calibration:
-    """Calibrate with a method; what was calibrated before is not again."""
-    key = id(measured), method  # the measurements are held, so that no others come to their address
+    """Calibrate with a method; earlier calibrations are reused."""
+    key = id(measured), method  # the measurements are kept, so that no others get their address
     if key not in _CALIBRATED:
         _CALIBRATED[key] = measured, calibrate(measured, errors, Options(method))
     return _CALIBRATED[key][1]
@@ -61,7 +61,7 @@ def positions(measured: Measurements) -> Measurements:
 
 @pytest.fixture(scope="module")
 def geometric(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> list[Measurements]:
-    """Of two machines that have the errors of the parameters and no others."""
+    """Of two machines whose only errors are those of the parameters."""
     return [
         World.random("geometry", tripod_errors, np.random.default_rng([seed, 4])).measure(
             tripod_nominal.commands[40 * seed : 40 * seed + 40], np.random.default_rng(seed)
@@ -78,7 +78,7 @@ def conditions(measured: Measurements) -> dict[str, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def best(world: World, tripod_nominal: Poses, conditions: dict[str, np.ndarray]) -> np.ndarray:
-    """Commands that bring the machine nearest to 25 poses that it was not measured at, shape=(25, 3)."""
+    """Commands that bring the machine closest to 25 unmeasured poses, shape=(25, 3)."""
     wanted = tripod_nominal[200:225]
     best = wanted.commands
     for _ in range(2):
@@ -111,7 +111,7 @@ def test_sixty_poses_bring_the_tip_to_its_floor(
 
 
 def test_the_flow_of_the_figure(tripod_errors: GeometricErrors, tripod_nominal: Poses, tripod: Tripod) -> None:
-    """u - du(u) at the command given: a machine with that pseudo-error then is where it was wanted."""
+    """u - du(u) at the given command: a machine with that pseudo-error is then at the desired pose."""
 
     class Linear:
         def deviations(self, inputs: np.ndarray) -> np.ndarray:
@@ -186,7 +186,7 @@ def test_hybrids_do_a_geometric_machine_no_harm(
 
 @pytest.fixture(scope="module")
 def dirty(measured: Measurements, tripod_errors: GeometricErrors) -> Measurements:
-    """5 % of the rows are wrong by millimetres, and named."""
+    """5 % of the rows are wrong by millimetres, and reported."""
     positions = np.array(measured.positions)
     positions[[5, 20, 41]] += np.array([[4e-3, 0.0, 0.0], [0.0, 6e-3, 0.0], [0.0, 0.0, -3e-3]])
     wrong = replace(measured, positions=positions)
@@ -198,7 +198,7 @@ def dirty(measured: Measurements, tripod_errors: GeometricErrors) -> Measurement
 def test_gross_outliers_change_little(
     method: str, measured: Measurements, dirty: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
-    """The corrected commands stay within a fifth of the error before."""
+    """The corrected commands leave less than a fifth of the error before."""
     wanted = tripod_nominal[200:260]
     middle = {name: float(values.mean()) for name, values in measured.conditions.items()}
     clean = calibrated(measured, tripod_errors, method).corrected(wanted, middle)
@@ -209,7 +209,7 @@ def test_gross_outliers_change_little(
 def test_a_row_half_a_metre_off_is_no_more_than_an_outlier(
     measured: Measurements, tripod_errors: GeometricErrors
 ) -> None:
-    """No commands bring the machine there, so it must not be asked for them."""
+    """No commands bring the machine there, so none may be requested."""
     some = measured[:30]
     positions = np.array(some.positions)
     positions[7, 2] *= 1000.0  # millimetres
@@ -293,7 +293,7 @@ def test_positions_of_the_tool_point_correct_its_height(
     tripod_nominal: Poses,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """It sits in the universal joint: of the tilts nothing is seen, which is said."""
+    """It is in the universal joint: the tilts are unobservable, and a message says so."""
     wanted = tripod_nominal[200:225]
     middle = {name: np.full(25, values.mean()) for name, values in measured.conditions.items()}
     commands = calibrated(positions, tripod_errors, "gp").corrected(wanted, middle)
@@ -320,7 +320,7 @@ def test_tilts_that_positions_do_not_show_are_expected_to_be_off(
 
 
 def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod_errors: GeometricErrors) -> None:
-    """Measured twice, a pose may not be predicted from its own copy: judged are as many as there are poses."""
+    """A pose measured twice may not be predicted from its own copy: only distinct poses are evaluated."""
     twice = measured[[*range(5), *range(5)]]
     assert not calibrate(twice, tripod_errors, Options("lm")).can_be_judged
     once = held_out_errors(calibrate(measured[:12], tripod_errors, Options("lm", loss="squares")))
@@ -330,7 +330,7 @@ def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod
 
 
 def test_near_singular_poses_of_an_arm_do_not_spoil_the_judgement(serial_arm: Robot) -> None:
-    """Six drives undo everything but where the wrist is straight: those poses are few of many, and none is enormous."""
+    """Six drives undo everything except where the wrist is straight: such poses are few, and no error is enormous."""
     errors = GeometricErrors(serial_arm)
     generator = np.random.default_rng(0)
     arm = World.random("geometry", errors, generator)

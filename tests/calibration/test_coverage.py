@@ -1,4 +1,4 @@
-"""What a calibration says of itself, against a few machines written without the package: the study in small."""
+"""Stated uncertainty of calibrations, on a few machines written without the package: a small version of the study."""
 
 from __future__ import annotations
 

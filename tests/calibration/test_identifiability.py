@@ -1,4 +1,4 @@
-"""Ranks against those that freedoms of joints leave, and the known numbers of this machine."""
+"""Ranks, compared with those that degrees of freedom of joints leave, and the known numbers of this machine."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_too_few_poses_are_seen(tripod_errors: GeometricErrors, tripod_nominal: 
 
 
 def test_unidentifiable_directions_do_nothing(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    """Four poses leave 16 combinations open; moving along them, closed loops give the same poses."""
+    """Four poses leave 16 combinations undetermined; moving along them, closed loops give the same poses."""
     poses = tripod_nominal[:4]
     result = _of_poses(tripod_errors, poses)
     hidden = result.directions[:, result.rank :]
@@ -101,7 +101,7 @@ def test_a_real_arm_with_six_joints_has_30_parameters(serial_arm: Robot) -> None
     assert len(errors) == 42
     assert result.rank == 30
     assert minimum_poses(_regressor(errors, poses)) == 5
-    for name, parts in result.relations.items():  # the base parameters do what the others do
+    for name, parts in result.relations.items():  # the base parameters have the effects of the others
         one = errors.tolerances[errors.names.index(name)]
         stand_in = errors.values({base: part * one for base, part in parts.items()})
         rows = _regressor(errors, poses[:3]).reshape(-1, len(errors)) / errors.tolerances
@@ -121,7 +121,7 @@ def _freedom_count(chain: str, driven: str) -> int:
 
 
 def test_closed_chains_have_as_many_parameters_as_their_joints_leave(mechanism: Robot) -> None:
-    """Near the machine as described some do nothing to first order; a machine far from it shows them all."""
+    """Near the machine as described some have no first-order effect; on a machine far from it all have one."""
     hexapod = Robot.load("hexapod")
     legs, middle = _freedom_count("PRRS", "u..."), _freedom_count("PRR", "...")
     cases = (

@@ -66,7 +66,7 @@ def test_a_redundant_parameter_is_reported_and_harmless(
 
 
 def test_within_three_predicted_sigmas(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    """Over six machines of 40 parameters: none beyond four sigmas, and as many within one as a normal law has."""
+    """Over six machines of 40 parameters: none beyond four sigmas, and the normal distribution's share within one."""
     scores = []
     for seed in range(6):
         values = tripod_errors.sample(np.random.default_rng([seed, 1]))
@@ -104,7 +104,7 @@ def test_the_derivatives_are_those_of_finite_differences(
 def test_points_on_the_platform_tell_the_orientation(
     tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses
 ) -> None:
-    """Three points seen one by one are worth a whole pose; one alone is not."""
+    """Three points measured one by one are worth a full pose; one alone is not."""
     poses = tripod_nominal[:40]
     reached = tripod_errors.apply(truth).forward(poses.commands, guess=poses.q).transforms
     offsets = np.array([[0.1, 0.0, 0.0], [-0.05, 0.09, 0.0], [-0.05, -0.09, 0.02]])
@@ -297,7 +297,7 @@ def test_errors_that_are_missing_show_in_the_noise_factor(
 
 @pytest.mark.parametrize("name", ["hexapod", "serial"])
 def test_other_mechanisms(name: str, serial_arm: Robot) -> None:
-    """What is measured is predicted exactly, by whichever of the redundant parameters."""
+    """The measurements are predicted exactly, whichever redundant parameters are used."""
     everything = GeometricErrors(serial_arm) if name == "serial" else GeometricErrors.load("hexapod")
     mechanism = everything.robot
     generator = np.random.default_rng(0)

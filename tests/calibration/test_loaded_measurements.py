@@ -1,4 +1,4 @@
-"""Measurements under known wrenches: stiffness identified beside the geometry, and commands that allow for loads."""
+"""Measurements under known wrenches: stiffness identified with the geometry, and commands that correct for loads."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ STRONGEST = (400.0, 400.0, 400.0, 20.0, 20.0, 20.0)
 
 @pytest.fixture(scope="module", params=["pm3dof", "hexapod"])
 def loaded(request: pytest.FixtureRequest) -> tuple[World, dict[str, float], Calibration]:
-    """A machine whose springs are not as described, and its calibration from measurements under wrenches."""
+    """A machine with springs other than described, and its calibration from measurements under wrenches."""
     errors, generator = GeometricErrors.load(request.param), np.random.default_rng(3)
     names = [str(entry["name"]) for entry in errors.robot.springs]
     factors = dict(zip(names, np.exp(generator.normal(0.0, 0.25, len(names))).tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Learning from many poses: inducing points instead of a covariance that is as large as the measurements are many."""
+"""Learning from many poses: inducing points instead of a full covariance matrix."""
 
 from __future__ import annotations
 

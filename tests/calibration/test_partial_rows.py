@@ -1,4 +1,4 @@
-"""Whatever was seen of whatever machine: a calibration is refused with its cause, or is no worse than none."""
+"""From any measurements of any machine: a calibration is refused with its cause, or is no worse than none."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ORIGIN = np.array([0.3, 0.2, -0.1])
 
 
 def _rows(machine: Poses, kind: str, rng: np.random.Generator) -> Measurements:
-    """What is left of whole poses when columns, or in a mix cells, are dropped."""
+    """Full poses with columns, or in a mix cells, dropped."""
     count, number = len(machine), np.arange(len(machine)) % 4
     positions = machine.positions + rng.normal(0.0, POSITION, (count, 3))
     rotations = rotation_matrix(rng.normal(0.0, ANGLE, (count, 3))) @ machine.rotations
@@ -88,7 +88,7 @@ def test_a_machine_is_not_made_worse(name: str, frame: str | None, kinds: tuple[
 
 @pytest.mark.usefixtures("report_without_pictures")
 def test_the_command_takes_them(run: Callable[..., object], tmp_path: Path) -> None:
-    """Of what `measure` writes some cells are dropped, then whole columns."""
+    """Some cells of the output of `measure` are dropped, then whole columns."""
     run("measure", "--world", "geometry", "--poses", "16", "--out", "all.csv", cwd=tmp_path)
     header, *lines = (line.split(",") for line in (tmp_path / "all.csv").read_text().splitlines())
     for k, line in enumerate(lines):

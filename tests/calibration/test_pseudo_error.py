@@ -1,4 +1,4 @@
-"""Pseudo-errors and what learns them."""
+"""Pseudo-errors and the methods that learn them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_deviation_of_the_joints_is_found_again(tripod_nominal: Poses) -> None
 
 
 def test_positions_show_the_height_and_nothing_else(tripod_nominal: Poses) -> None:
-    """The tool point sits in the universal joint: tilts turn it on the spot, and no deviation is made up for them."""
+    """The tool point is in the universal joint: tilts rotate it in place, and no deviation is invented for them."""
     poses = tripod_nominal[:20]
     moved = np.array(poses.transforms)
     moved[:, :3, 3] += [2e-4, -1e-4, 3e-4]
@@ -61,7 +61,7 @@ def test_positions_show_the_height_and_nothing_else(tripod_nominal: Poses) -> No
 
 
 def test_steps_near_a_singularity_lead_nowhere_else(serial_arm: Robot) -> None:
-    """Some of 400 random poses of an arm are so near to a singularity that whole Newton steps would leave the room."""
+    """Some of 400 random poses of an arm are so near a singularity that full Newton steps would go far astray."""
     errors = GeometricErrors(serial_arm)
     generator = np.random.default_rng(3)
     nominal = serial_arm.forward(generator.uniform(-np.pi, np.pi, (400, 6)))
@@ -77,7 +77,7 @@ def test_steps_near_a_singularity_lead_nowhere_else(serial_arm: Robot) -> None:
 
 @pytest.mark.parametrize("eta", [0.02, 0.1, 0.5])
 def test_no_other_deviation_comes_nearer(eta: float, tripod_nominal: Poses) -> None:
-    """In the tip-weighted sense, against commands a micrometre beside."""
+    """In the tip-weighted sense, compared with commands a micrometre off."""
     poses, generator = tripod_nominal[:10], np.random.default_rng(0)
     moved = np.array(poses.transforms)
     moved[:, :3, 3] += generator.normal(0.0, 1e-4, (10, 3))
@@ -154,7 +154,7 @@ def test_a_gaussian_process_is_the_conditional_of_a_normal_law() -> None:
 
 @pytest.fixture(scope="module")
 def network(samples: tuple[np.ndarray, ...]) -> NeuralNetwork:
-    """As everybody trains them."""
+    """With the usual training."""
     inputs, deviations, _ = samples
     return NeuralNetwork.fit(inputs, deviations, seed=0)
 

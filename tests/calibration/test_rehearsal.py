@@ -1,4 +1,4 @@
-"""Plans for what will be learned, and rehearsals of them: against their definitions and a closed formula."""
+"""Plans for learned corrections, and rehearsals of them: against their definitions and a closed formula."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of a calibration: whole or not at all, the same bytes again, loadable elsewhere, and its report."""
+"""The folder of a calibration: all or nothing, reproducible byte for byte, loadable elsewhere; and its report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Intervals of root mean squares, against machines drawn."""
+"""Intervals of root mean squares, against random machines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scatter of positions, orientations and drives told apart, in errors drawn with known covariances."""
+"""Scatter of positions, orientations and drives separated, in errors drawn with known covariances."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from pm3dof_pin.calibration.scatter import Scatter
 
 POSES = 3000
-# drives of two kinds, alike in what they do to the tool, which the first moves twice as far; or of one, alike
+# drives of two kinds, with like effects on the tool, which the first moves twice as far; or of one kind, alike
 EVERYWHERE, KINDS = (
     np.array([4e-12, 9e-12]),
     {("m", "rad"): np.array([9e-12, 36e-12]), ("m", "m"): np.array([16e-12, 16e-12])},

@@ -1,4 +1,4 @@
-"""What a calibration says of itself: bounds that hold, a budget that adds up, three lines first."""
+"""The verdict of a calibration: bounds that hold, a budget that adds up, three lines first."""
 
 from __future__ import annotations
 

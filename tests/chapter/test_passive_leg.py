@@ -1,4 +1,4 @@
-"""A thicker passive leg: cantilever formulas, the chapter's claim about theta_z, and where it does not stop."""
+"""A thicker passive leg: cantilever formulas, the chapter's claim about theta_z, and effects on other axes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def poses(tripod: Tripod) -> Array:
 
 
 def test_a_sideways_force_at_the_tool_bends_the_passive_leg_alone(tripod: Tripod, poses: Array) -> None:
-    """The links take no part of a force through O_e across the passive leg: 3 E I / L^3."""
+    """The links carry no part of a force through O_e across the passive leg: 3 E I / L^3."""
     p, length = tripod.parameters, tripod.middle_height - tripod.clamp_height
     felt = felt_stiffness(tripod, poses)
     for axis in ("t_x", "t_y"):

@@ -1,4 +1,4 @@
-"""The chapter's numbers on Pinocchio's Jacobians: the closed form again to 1e-10, and Pinocchio really asked."""
+"""The chapter's numbers on Pinocchio's Jacobians: the closed form to 1e-10, with Pinocchio really called."""
 
 from __future__ import annotations
 

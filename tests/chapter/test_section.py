@@ -1,4 +1,4 @@
-"""Stiffness sections against the equations written out once more, and what the chapter says of its maps."""
+"""Stiffness sections against the equations written out independently, and the chapter's statements about its maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Grids of tilts: the chapter's counts, coordinates, edges, and arguments that make no grid."""
+"""Grids of tilts: the chapter's counts, coordinates, edges, and invalid arguments."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ Answer = Callable[..., dict[str, Any]]
 
 
 def test_ik_known_pose(answer: Answer) -> None:
-    """The travels of three simulators, and negative numbers without tricks."""
+    """The travels from three simulators; negative numbers need no special syntax."""
     result = answer("ik", "10", "-15", "0.5")
     np.testing.assert_allclose(result["u_m"], [0.257110951586, 0.260246563859, 0.224483570293], atol=1e-12)
     assert result["within_limits"] is True
@@ -102,7 +102,7 @@ def test_stiffness_of_other_robots(answer: Answer) -> None:
 def test_a_tool_that_is_rigid_in_some_directions_has_a_compliance_only(
     answer: Answer, run: Run, tmp_path: Path
 ) -> None:
-    """Without the passive leg's spring, x, y and the turn about z are held by rigid bodies."""
+    """Without the passive leg's spring, rigid bodies hold x, y and the rotation about z."""
     urdf = Path(answer("info")["urdf"])
     (tmp_path / "stiff.urdf").write_text(urdf.read_text())
     springs = urdf.with_name("pm3dof.closures.yaml").read_text().splitlines()

@@ -1,4 +1,4 @@
-"""`pm3dof info` on files of strangers: what is there, what is missing, and what to try."""
+"""`pm3dof info` on unknown files: what is there, what is missing, and what to try."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def hinge(name: str, parent: str, child: str, xyz: str = "0 0 0", axis: str = "0
 
 
 def delta(limit: str = LIMIT) -> str:
-    """A delta robot's tree: three arms, on each a forearm with two hinges; the platform hangs on the first."""
+    """A delta robot's tree: three arms, on each a forearm with two hinges; the platform is attached to the first."""
     parts = [links("base", "platform", "tip2", "tip3", "socket2", "socket3")]
     for leg, yaw in ((1, 0.0), (2, 2.0943951), (3, -2.0943951)):
         parts.append(links(f"mount{leg}", f"arm{leg}", f"cross{leg}", f"forearm{leg}"))
@@ -84,7 +84,7 @@ def test_a_delta_whose_urdf_is_all_there_is(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_example_parallel_robots(tmp_path: Path) -> None:
-    """Two balls at the ends of a rod in an arm of two: 2 + 1 + 3 - 3 freedoms, of which the rod has its spin."""
+    """Two balls at the ends of a rod in an arm of two: 2 + 1 + 3 - 3 degrees of freedom, one of them the rod's spin."""
     tree = (
         links("base", "crank", "rod", "rocker")
         + hinge("motor", "base", "crank", axis="0 0 1", limit=ZERO)

@@ -60,7 +60,7 @@ def test_a_hexapods_struts_reach_from_base_to_platform(answer: Answer) -> None:
 
 
 def test_a_broken_limit_is_read_off_the_counter(run: Run) -> None:
-    """Of a joint that a command shows; of a closure, by its place in its declared group, or by its frames."""
+    """Of a joint that a command reads; of a closure, by its place in its declared group, or by its frames."""
     assert "spherical1 at 46.78 deg, outside 0.00 .. 45.00 deg" in run("ik", "44", "3", "0.5").stderr
     robot = Robot.load("pm3dof")
     low = robot.solve([0.0, 0.0, 0.59]).configuration()
@@ -143,7 +143,7 @@ def test_small_tilts_are_asked_about_and_answered(run: Run) -> None:
 
 
 def test_another_machine_of_the_kind(answer: Answer, tmp_path: Path) -> None:
-    """A longer link lets the level platform stand higher: z = z_D + sqrt(l^2 - r^2), by the chapter's geometry."""
+    """A longer link raises the level platform: z = z_D + sqrt(l^2 - r^2), by the chapter's geometry."""
     config = tmp_path / "machine.yaml"
     shipped = (Path(answer("info")["urdf"]).parents[1] / "config" / "pm3dof.yaml").read_text()
     config.write_text(shipped.replace("value: 353.0", "value: 363.0"))

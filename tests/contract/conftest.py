@@ -1,4 +1,4 @@
-"""Every robot: those that come with the package, and files of strangers in several dialects."""
+"""Every robot: those that come with the package, and external files in several dialects."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class Done:
-    """What a command did.
+    """Result of a command.
 
     Attributes:
         status: its exit status.
@@ -77,7 +77,7 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 @pytest.fixture
 def pm3dof(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., Done]:
-    """Run a command in an empty folder, in process, and demand its exit status."""
+    """Run a command in an empty folder, in process, and check its exit status."""
     from pm3dof_pin.cli.app import main
 
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""Expanding the xacro: the committed files are what it gives, and what is wrong in a file is named."""
+"""Expanding the xacro: the result matches the committed files, and errors in a file are named."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_the_script_checks_and_writes(
         run("--config", "x.yaml")
 
 
-# Tripods of one's own
+# Tripods with other parameters
 
 
 def _quarter_turns(tree: Tree) -> None:
@@ -296,7 +296,7 @@ def test_a_xacro_reads_its_package_and_those_it_is_given(tmp_path: Path) -> None
 
 
 def test_an_expansion_that_ends_early_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It takes too long, is killed, cannot be started, or makes too much of a short file."""
+    """It takes too long, is killed, cannot be started, or expands a short file too far."""
     path = tmp_path / "arm.xacro"
     path.write_text('<robot name="arm"><link name="l"/></robot>', encoding="utf-8")
     slow = subprocess.TimeoutExpired("python", 15)

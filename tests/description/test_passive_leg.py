@@ -1,4 +1,4 @@
-"""The passive leg as data: its section, and the end that its universal joint is at."""
+"""The passive leg as data: its section, and the end with its universal joint."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def test_the_chapters_machine_comes_with_the_package() -> None:
 
 @pytest.fixture
 def urdf(tmp_path: Path) -> Path:
-    """A URDF with nothing beside it."""
+    """A URDF without a closures file."""
     path = tmp_path / "urdf" / "arm.urdf"
     path.parent.mkdir()
     path.write_text("<robot name='arm'/>")

@@ -1,4 +1,4 @@
-"""The committed URDF: read back on its own and compared with the YAML, and put to work in Pinocchio."""
+"""The committed URDF: read back, compared with the YAML, and used in Pinocchio."""
 
 from __future__ import annotations
 

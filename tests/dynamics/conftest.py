@@ -133,7 +133,7 @@ def make_four_bar() -> Callable[..., Robot]:
 
 @pytest.fixture(scope="session")
 def place_four_bar(four_bar: FourBar) -> Callable[[Robot, float], Configuration]:
-    """Put the mechanism at a crank angle, out of the closed form."""
+    """Put the mechanism at a crank angle, by the closed form."""
 
     def place(mechanism: Robot, crank: float) -> Configuration:
         first, second, third = four_bar.angles(crank)

@@ -32,7 +32,7 @@ def repeated(q: np.ndarray) -> np.ndarray:
 
 @pytest.fixture
 def counted(caplog: pytest.LogCaptureFixture) -> Callable[[], int]:
-    """How many poses were done the careful way."""
+    """Number of poses computed by the Pinocchio engine."""
     caplog.set_level("INFO", logger="pm3dof_pin.kinematics.pose_values")
     return lambda: sum(int(record.args[2]) for record in caplog.records if "computed by" in record.msg)  # type: ignore
 

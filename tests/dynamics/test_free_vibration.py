@@ -1,4 +1,4 @@
-"""Natural modes against a time simulation of small free vibration in MuJoCo, which knows nothing of modes."""
+"""Natural modes against a time simulation of small free vibration in MuJoCo, which does not use modes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Natural modes against formulas for small systems and an evaluation of the tripod that knows no virtual joints."""
+"""Natural modes against formulas for small systems and an evaluation of the tripod without virtual joints."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def test_shapes_are_of_unit_mass_keep_the_loops_closed_and_satisfy_the_equation_
         np.testing.assert_allclose(shapes.T @ mass @ shapes, np.eye(shapes.shape[1]), atol=1e-9)
         np.testing.assert_allclose(where.constraint_jacobian @ shapes, 0.0, atol=1e-9)
         squares = (2.0 * np.pi * modes.frequencies) ** 2
-        # K v - omega^2 M v is a force of the closures: it works on no motion
+        # K v - omega^2 M v is a force of the closures: it does no work on any motion
         motions = np.hstack([shapes, modes.free_motions])
         left = motions.T @ (stiffness @ shapes - mass @ shapes * squares)
         assert np.abs(left).max() < 1e-8 * squares.max()

@@ -160,7 +160,7 @@ def test_a_planar_linkage_is_held_by_the_slope_of_its_potential_energy_and_its_r
     assert result.actuator_forces[0] == pytest.approx(four_bar.potential_slope(crank), abs=1e-12)
     assert result.actuator_forces_unique
     assert not result.closure_forces_unique
-    # the shortest: what works on no motion of the tree at all is left out
+    # the shortest: forces that do no work on any motion of the tree are left out
     null = np.linalg.svd(configuration.constraint_jacobian.T)[2][-3 if closure == "6d" else -1 :]
     assert np.abs(null @ result.closure_forces).max() < 1e-12
 
@@ -177,7 +177,7 @@ def test_more_actuators_than_degrees_of_freedom_share_the_load_and_that_is_said(
 
 
 def _dead_point() -> float:
-    """Crank angle at which crank and coupler are in line: the rocker stands still, whatever the crank does."""
+    """Crank angle at which crank and coupler are collinear: the rocker is at rest, whatever the crank does."""
     return float(np.arccos((0.7**2 + 0.6**2 - 0.4**2) / (2.0 * 0.7 * 0.6)))
 
 
@@ -222,7 +222,7 @@ def test_a_link_that_may_spin_about_its_own_axis_is_held(spatial_crank: Any) -> 
 
 
 def test_a_link_that_gravity_spins_does_not_withhold_the_forces(spatial_crank: Any) -> None:
-    """Its centre of mass off its axis, the link would turn; crank and slider are held all the same."""
+    """With its centre of mass off its axis the link would turn; crank and slider are still held."""
     mechanism, model = spatial_crank.mechanism, spatial_crank.mechanism.model.copy()
     link = model.getJointId("ball_joint")
     bar = model.inertias[link]

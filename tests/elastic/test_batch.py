@@ -84,7 +84,7 @@ def test_stiffness_is_the_inverse(name: str) -> None:
 
 
 def test_a_configuration_is_a_pose() -> None:
-    """The tool's position moves by C f under a small force, in the equilibrium that is found by steps."""
+    """The tool's position moves by C f under a small force, in the equilibrium found by steps."""
     robot = Robot.load("hexapod")
     force = np.array([3.0, -2.0, 5.0, 0.0, 0.0, 0.0])
     loaded = loaded_equilibrium(ElasticModel(robot), robot.home, Loads(wrenches={"O_e": force}))
@@ -94,7 +94,7 @@ def test_a_configuration_is_a_pose() -> None:
 
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod", "delta"])
 def test_reductions(name: str) -> None:
-    """What programs reduce, against NumPy on the careful matrices."""
+    """Quantities reduced by programs, against NumPy on the Pinocchio engine's matrices."""
     model = load(name)
     poses = reachable_poses(model.rigid, 40, np.random.default_rng(3))
     matrices = compliance(model, poses, engine="pinocchio")
@@ -131,7 +131,7 @@ def test_stiffness_of_coordinates(name: str) -> None:
 @pytest.mark.parametrize("robot", ["hexapod", "pm3dof"])
 @pytest.mark.parametrize("factor", [1e-6, 1e6, 1e9])
 def test_one_spring_much_stiffer_or_softer(robot: str, factor: float) -> None:
-    """The program of the same structure with other springs; nothing of the stiffness is in its decisions."""
+    """The program of the same structure with other springs; its decisions do not depend on the stiffness."""
     described = ElasticModel.load(robot)
     first = next(k for k, spring in enumerate(described.springs) if isinstance(spring, (JointSpring, AxialSpring)))
     springs = list(described.springs)
@@ -165,7 +165,7 @@ def test_bushings_in_closures() -> None:
 
 @pytest.mark.parametrize("sprung", [("actuator1",), ("link1", "link2", "link3"), ("passive_leg",)])
 def test_branches_without_springs(sprung: tuple[str, ...]) -> None:
-    """Only some springs: all else is rigid, the compliance is singular, and nothing is redone for that."""
+    """Only some springs: all else is rigid, the compliance is singular, and no pose is recomputed for that."""
     described = ElasticModel.load("pm3dof")
     chosen = [spring for spring in described.springs if spring.name in sprung] or described.springs[:1]
     model = ElasticModel(described.rigid, chosen)
@@ -178,7 +178,7 @@ def test_branches_without_springs(sprung: tuple[str, ...]) -> None:
 
 
 def planar_parallel(rigid_tree: Callable[..., Robot]) -> tuple[ElasticModel, np.ndarray, np.ndarray, np.ndarray]:
-    """A planar 3-RPR machine: a platform on three struts that give; returns its anchors and stiffnesses too."""
+    """A planar 3-RPR machine: a platform on three elastic struts; returns its anchors and stiffnesses too."""
     angles = np.deg2rad([90.0, 210.0, 330.0])
     bases = 0.5 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(3)])
     heads = 0.12 * np.column_stack([np.cos(angles + 0.4), np.sin(angles + 0.4), np.zeros(3)])
@@ -241,7 +241,7 @@ def planar_compliance(bases: np.ndarray, heads: np.ndarray, stiffnesses: np.ndar
 
 
 def test_a_tool_that_nothing_holds(tmp_path: Path) -> None:
-    """A body afloat, with a sprung arm: no compliance, and no stiffness to be inverted for one."""
+    """A floating body with a sprung arm: no compliance, and no stiffness to invert for one."""
     path = tmp_path / "afloat.xml"
     path.write_text(
         """<mujoco><worldbody><body name="a"><freejoint/><geom size="0.1" mass="1"/>
@@ -269,7 +269,7 @@ def test_planar_machine_with_redundant_closures(rigid_tree: Callable[..., Robot]
 
 
 def test_walk_through_a_singular_pose(rigid_tree: Callable[..., Robot]) -> None:
-    """All struts meet in one point: the compliance grows without bound, and is right or done with care."""
+    """All struts meet in one point: the compliance grows without bound, and is right or recomputed."""
     model, bases, heads, stiffnesses = planar_parallel(rigid_tree)
 
     def determinant(angle: float) -> float:
@@ -323,7 +323,7 @@ def test_twelve_springs_on_redundant_welds(rigid_tree: Callable[..., Robot]) -> 
 
 
 def _moved(matrix: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return the stiffness at the origin of what has a stiffness at a point, the axes being the same."""
+    """Return the stiffness at the origin from that at a point, with the same axes."""
     x, y, z = point
     to_point = np.eye(6)
     to_point[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]

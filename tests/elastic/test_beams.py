@@ -134,7 +134,7 @@ def chain(beams: list[tuple[pin.SE3, float]]) -> tuple[list[tuple[str, str, pin.
 
 
 def test_the_tip_of_one_beam() -> None:
-    """The oracle itself: deflection and slope of a cantilever's tip from the textbook."""
+    """The reference itself: deflection and slope of a cantilever's tip from the textbook."""
     _, _, frame = chain([along(0.0, 0.0, 0.0, 0.5)])
     c = frame.compliance(np.arange(6, 12), np.arange(6))
     length = 0.5

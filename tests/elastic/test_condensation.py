@@ -188,7 +188,7 @@ def test_closures_that_give_are_the_compliance_of_the_full_system(
 
 
 def test_a_weld_that_gives(rigid_tree: Callable[..., Robot]) -> None:
-    """A body held to the ground by two welds that give: their stiffnesses, moved to the tool, add."""
+    """A body held to the ground by two elastic welds: their stiffnesses, moved to the tool, add."""
     one, two = at(0.3, 0.1, 0.2), pin.SE3(pin.rpy.rpyToMatrix(0.2, 0.5, -0.4), np.array([-0.2, 0.4, 0.1]))
     body = [
         ("ground_one", "universe", one, None),
@@ -290,7 +290,7 @@ def test_a_rigid_direction_is_named(rigid_tree: Callable[..., Robot]) -> None:
 
 
 def test_free_and_rigid_at_once(rigid_tree: Callable[..., Robot]) -> None:
-    """A passive slide with a spring across it, beside a motor: neither matrix exists, and both say so."""
+    """A passive slide with a spring across it, next to a motor: neither matrix exists, and both say so."""
     tree = rigid_tree(
         [
             ("motor", "universe", IDENTITY, pin.JointModelRZ()),
@@ -368,7 +368,7 @@ def test_redundant_constraints_do_no_harm(rigid_tree: Callable[..., Robot]) -> N
 
 
 def test_a_parallel_singularity_frees_the_tool(rigid_tree: Callable[..., Robot]) -> None:
-    """A five-bar with its two distal links in line: the tool moves across them with both motors at rest."""
+    """A five-bar with collinear distal links: the tool moves across them with both motors at rest."""
     entries = [("x", "universe", IDENTITY, pin.JointModelPX()), ("tool", "x", IDENTITY, pin.JointModelPY())]
     for side, start in (("left", -0.6), ("right", 0.6)):
         entries.append((side, "universe", at(start, 0.0, 0.0), pin.JointModelRZ()))

@@ -1,4 +1,4 @@
-"""What must hold for any springs: symmetry, definiteness, limits, scaling, monotonicity, change of frame."""
+"""Invariants for any springs: symmetry, definiteness, limits, scaling, monotonicity, change of frame."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_a_spring_to_zero_is_a_passive_joint(machines: Machines) -> None:
 
 
 def test_an_actuator_without_stiffness_frees_the_tool_in_the_limit(elastic: ElasticModel) -> None:
-    """One actuator 1e-6 times as stiff: the platform gives 1e6 times as much where that actuator holds it."""
+    """One actuator 1e-6 times as stiff: the platform is 1e6 times as compliant where that actuator holds it."""
     springs = list(elastic.springs)
     home = elastic.rigid.home
     stiff = cartesian_compliance(elastic, home)
@@ -170,7 +170,7 @@ def test_an_actuator_without_stiffness_frees_the_tool_in_the_limit(elastic: Elas
 
 @pytest.mark.parametrize("ratio", [1e-12, 1e-6, 1.0, 1e6, 1e12, 1e14])
 def test_springs_in_series_and_side_by_side(rigid_tree: RigidTree, ratio: float) -> None:
-    """Two springs one behind the other, and one at each of two joints of a loop, however unlike they are."""
+    """Two springs in series, and one at each of two joints of a loop, however different they are."""
     soft, stiff = 3e3, 3e3 * ratio
     one = pin.SE3.Identity()
     tree = rigid_tree([("tip", "universe", one, None)], tool_frame="tip")

@@ -134,7 +134,7 @@ def test_the_nearly_symmetric_tripod_bends_away_and_stays_stable(
     assert f"bifurcation at a factor of {buckling.factor:.6g}, branch followed: a stable one" in caplog.text
     below, *beyond = zip(straight, bent, strict=True)
     assert abs(below[0].displacement()[5]) < 1e-9
-    for one, other in beyond:  # both turn about z, either way
+    for one, other in beyond:  # both turn about z, in either direction
         assert abs(one.displacement()[5]) > 0.02
         assert abs(abs(one.displacement()[5]) - abs(other.displacement()[5])) < 0.1 * abs(one.displacement()[5])
 
@@ -162,7 +162,7 @@ def test_turns_at_a_continuous_joint_are_counted() -> None:
 def test_beyond_a_limit_point_the_hexapod_jumps_to_a_stable_equilibrium(
     sideways: float, hexapod: ElasticModel, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Newton's method from rest finds an unstable one there; it is checked on six springs written out."""
+    """Newton's method from rest finds an unstable one there; checked on six springs written out."""
     force = np.array([sideways, 0.0, -689e3, 0.0, 0.0, 0.0])
     found = loaded_equilibrium(hexapod, hexapod.rigid.home, pulled(hexapod, *force[:3]))
     assert "the mechanism jumps to a stable equilibrium elsewhere" in caplog.text

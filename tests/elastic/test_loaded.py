@@ -195,7 +195,7 @@ def test_equilibrium_is_the_minimum_of_the_potential(
 
 
 def test_a_stable_equilibrium_is_found_at_204_kilonewtons(tripod: Tripod, elastic: ElasticModel) -> None:
-    """Beyond the bifurcation of the straight machine; there is an unstable equilibrium near by."""
+    """Beyond the bifurcation of the straight machine; there is an unstable equilibrium nearby."""
     home = elastic.rigid.home
     force = 204e3 * np.array([0.3, 0.2, -1.0])
     pose = np.array([0.0, 0.0, home.tool_placement.translation[2]])
@@ -410,7 +410,7 @@ def test_a_mechanism_that_cannot_stand_upright(rigid_tree: RigidTree, caplog: py
     assert abs(angle) > 1.0
     assert leaning.stable
     assert "bifurcation at a factor of 0.509684, branch followed: a stable one" in caplog.text  # 5 / 9.81
-    # more weight bends it further, and nothing gives way any more
+    # more weight bends it further, without buckling
     search = search_buckling(model, [0.0], Loads({"top": [0, 0, -1.0, 0, 0, 0]}), permanent=heavy, largest_factor=50.0)
     assert search.load is None
     assert search.largest_factor == 50.0

@@ -1,4 +1,4 @@
-"""Reading springs: every type, and what is wrong with wrong ones."""
+"""Reading springs: every type, and the errors of invalid ones."""
 
 from __future__ import annotations
 

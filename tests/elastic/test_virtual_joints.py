@@ -1,4 +1,4 @@
-"""The tree with virtual joints: the rigid mechanism at zero, and the right things move when a spring gives."""
+"""The tree with virtual joints: the rigid mechanism at zero, and the right bodies move when a spring deflects."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_what_hangs_on_the_place_moves_along_the_axes_of_the_place(mechanism: Ro
 
 
 def _place(mechanism: Robot, q: np.ndarray, at: str) -> pin.SE3:
-    """Where the virtual joints are to stand: a frame, or the place of a joint on the body before it."""
+    """Where the virtual joints belong: a frame, or the place of a joint on the previous body."""
     model, data = mechanism.model, mechanism.model.createData()
     if not model.existJointName(at):
         return mechanism.configuration(q).frame_placement(at)
@@ -202,7 +202,7 @@ def test_nested_cuts_of_one_body(rigid_tree: Callable[..., Robot]) -> None:
 
 
 def test_a_closure_that_gives_leaves_its_frames_alone(mechanism: Robot) -> None:
-    """The new frame is closed with frame b; frame a and its body stay where they are when the closure gives."""
+    """The new frame is closed with frame b; frame a and its body stay in place when the closure deflects."""
     model = ElasticModel(mechanism, [ClosureSpring("ball", 1, np.eye(3))])
     q = model.embed(mechanism.home.q)
     q[model.mechanism.single_joint("ball.x").q_index] = 0.01

@@ -1,4 +1,4 @@
-"""Sources of error apart and together: against simulated machines that have one source each, and Monte Carlo."""
+"""Sources of error, separate and together: against simulated machines with one source each, and Monte Carlo."""
 
 from __future__ import annotations
 
@@ -229,7 +229,7 @@ def test_rms_energy_and_worst_case_against_machines_drawn(budget: ErrorBudget) -
 
 
 def test_what_commands_leave(budget: ErrorBudget) -> None:
-    """Least squares for the shift, by np.linalg.lstsq; what does not repeat is left whole."""
+    """Least squares for the shift, by np.linalg.lstsq; errors that do not repeat remain in full."""
     wrench = budget.select(["wrench"])
     weights = tip_weights()[:, None]
     for row in range(3):

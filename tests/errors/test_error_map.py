@@ -87,7 +87,7 @@ def test_the_parts_are_at_right_angles(tripod_map: ErrorMap) -> None:
 
 
 def test_what_no_command_can_undo_is_in_the_middle(tripod_map: ErrorMap) -> None:
-    """Errors of the legs move the platform in its three freedoms only; sideways it goes where the passive leg goes."""
+    """Errors of the legs move the platform in its three degrees of freedom; sideways it follows the passive leg."""
     legs = [k for k, p in enumerate(tripod_map.errors.parameters) if p.group in ("legs", "platform")]
     assert np.abs(tripod_map.uncompensable[:, :, legs]).max() < 1e-12
     ranking = tripod_map.ranking()

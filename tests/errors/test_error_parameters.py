@@ -1,4 +1,4 @@
-"""Geometric error parameters: what they displace, their names, and the file that lists them."""
+"""Geometric error parameters: their displacements, their names, and the file that lists them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Minimal and complete sets of error parameters: as many as finite differences have ranks, and textbooks say."""
+"""Minimal and complete sets of error parameters: as many as the rank of finite differences, as in textbooks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def poses(declared: GeometricErrors) -> Poses:
 
 
 def _by_differences(errors: GeometricErrors, poses: Poses, step: float = 1e-5) -> np.ndarray:
-    """How the tool of the closed machine moves with each error, central differences of solved loops."""
+    """The tool's motion with each error on the closed machine, by central differences of solved loops."""
     columns = []
     for unit in step * np.eye(len(errors)):
         ahead, back = (errors.apply(p).forward(poses.commands, guess=poses.q).transforms for p in (unit, -unit))

@@ -64,7 +64,7 @@ def test_commands_against_finite_differences(case: Poses) -> None:
 
 
 def test_an_offset_is_a_change_of_command(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    """A displacement along a prismatic joint's axis adds to its coordinate: (8.9) in another guise."""
+    """A displacement along a prismatic joint's axis adds to its coordinate: (8.9) in another form."""
     derivatives = sensitivities(tripod_errors, tripod_nominal)
     axis = np.array([-0.5566703992264195, 0.3213938048432696, 0.766044443118978])
     offset = [tripod_errors.names.index(f"slider1_joint.t{axis_name}") for axis_name in "xyz"]
@@ -131,7 +131,7 @@ def test_a_tool_that_commands_do_not_hold_is_refused(four_bar: Path) -> None:
 
 
 def test_frames_inside_frames_move_together() -> None:
-    """Errors on a place in the middle of a chain of fixed joints carry what hangs beyond it."""
+    """Errors in the middle of a chain of fixed joints move everything beyond."""
     mechanism = Robot.load("pm3dof")
     parameters = [p for p in all_parameters(mechanism) if p.place.startswith("slider")]
     middle = [type(p)(**{**p.__dict__, "name": f"m.{p.name[-2:]}", "place": "middle_platform"}) for p in parameters[:6]]

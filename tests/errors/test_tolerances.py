@@ -89,7 +89,7 @@ def test_no_target_is_refused(tripod_map: ErrorMap) -> None:
 def test_as_many_machines_as_said_stay_within_the_target_everywhere(
     distribution: str, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
-    """Closed loops of machines with the tolerances allocated; by their root mean square most are outside somewhere."""
+    """Closed loops of machines with the allocated tolerances; for the root mean square most are outside somewhere."""
     poses = tripod_nominal[:40]
     mapped = error_map(tripod_errors, poses, distribution=distribution)  # type: ignore[arg-type]
     outside = {}

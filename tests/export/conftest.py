@@ -1,4 +1,4 @@
-"""What the tests of all tools share: poses, cross-check values, and the forces that follow from a tool's own terms.
+"""Shared by the tests of all tools: poses, cross-check values, and the forces that follow from a tool's own terms.
 
 A tool is asked for the terms of its own equation of motion: mass matrix, bias forces, and for the loop closures the
 velocity between the two frames of each, as a Jacobian, and its acceleration at constant rates. What holds the mechanism
@@ -272,7 +272,7 @@ def terms() -> type[Terms]:
     return Terms
 
 
-# A robot of one's own, with everything that the package's robots do not have: a root called world, a zero that is not
+# A user's robot, with everything that the package's robots do not have: a root called world, a zero that is not
 # assembled, a continuous joint, products of inertia in turned axes, closures on bodies with mass and
 # shapes, meshes, no SRDF.
 

@@ -1,4 +1,4 @@
-"""The closures file written out of xacro: what is said arrives, and what is wrong is named."""
+"""The closures file written from xacro: every statement arrives, and errors are named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All formats together: the same text as committed, from any robot, and what is said of bad input."""
+"""All formats together: the same text as committed, from any robot, and the messages for bad input."""
 
 from __future__ import annotations
 

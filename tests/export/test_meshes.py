@@ -1,4 +1,4 @@
-"""Exports take along meshes of the robot's own folder and of packages that were named, and no other file."""
+"""Exports include meshes of the robot's own folder and of named packages, and no other file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _write(path: Path, text: str) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A stranger's package beside somebody's files, and beside another package."""
+    """An external package next to private files, and next to another package."""
     _write(tmp_path / "secret.stl", TRIANGLE)
     _write(tmp_path / "private" / "keys.stl", TRIANGLE)
     _write(tmp_path / "parts" / "package.xml", "<package/>")
@@ -87,7 +87,7 @@ def test_a_folder_that_is_named_is_one_of_ours(folder: Path, tmp_path: Path) -> 
 
 
 def test_a_package_is_not_looked_for_without_end(tmp_path: Path) -> None:
-    """Or a package.xml far above, in somebody's home, would make everything below it one's own."""
+    """Otherwise a package.xml far above, in somebody's home, would own everything below it."""
     (tmp_path / "package.xml").touch()
     near, far = tmp_path / "a" / "b" / "c" / "urdf", tmp_path / "a" / "b" / "c" / "d" / "e" / "urdf"
     assert package_of(near / "arm.urdf") == tmp_path

@@ -1,4 +1,4 @@
-"""The SRDF written out of xacro: configurations completed by closing the loops, and what is wrong named."""
+"""The SRDF written from xacro: configurations completed by closing the loops, and errors named."""
 
 from __future__ import annotations
 

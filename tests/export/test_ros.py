@@ -24,7 +24,7 @@ from pm3dof_pin.kinematics.robot import Robot
 
 
 class Recorded:
-    """Stands in for a class of ROS and keeps what it was made with."""
+    """Stand-in for a class of ROS that keeps its arguments."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         self.arguments = arguments

@@ -1,4 +1,4 @@
-"""The SDF: valid by the judgement of libsdformat, and, its loops cut, the same tree as ours by that of Drake."""
+"""The SDF: valid for libsdformat, and, with its loops cut, the same tree as ours in Drake."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Colour scales and labels: what a reader of a picture is told about its numbers."""
+"""Colour scales and labels: the information about numbers in a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every script of the chapter runs, small, writes into the folder it is told, and says what it wrote."""
+"""Every script of the chapter runs on small input, writes into the given folder, and says what it wrote."""
 
 from __future__ import annotations
 

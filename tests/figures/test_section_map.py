@@ -1,4 +1,4 @@
-"""Maps over a section: what stands on the axes, what is drawn, and where the map ends."""
+"""Maps over a section: their axes, contents and ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures on disk: whole or not at all, the same bytes for the same picture, the user's settings left alone."""
+"""Pictures on disk: all or nothing, the same bytes for the same picture, the user's settings unchanged."""
 
 from __future__ import annotations
 

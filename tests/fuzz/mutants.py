@@ -1,4 +1,4 @@
-"""Damaged inputs: what a text editor, a spreadsheet, a bad disk or a stranger makes of files, and what comes of them.
+"""Damaged inputs: files as changed by a text editor, a spreadsheet, a bad disk or an attacker, and their results.
 
 As a script it runs hundreds of mutants of every input, each worker in a process of its own, and says what was neither
 refused by one of the package's errors nor read as a machine that can be:
@@ -190,7 +190,7 @@ def _encoded(text: str, generator: random.Random) -> bytes:
 
 
 def _replace_by_no_file(file: Path, generator: random.Random) -> None:
-    """Put something in the place of a file that is none."""
+    """Replace a file by something that is not one."""
     file.unlink()
     match generator.randrange(6):
         case 0:

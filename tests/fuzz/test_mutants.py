@@ -1,4 +1,4 @@
-"""Damaged inputs are refused in one line or read as a machine that can be: a few mutants of the script beside."""
+"""Damaged inputs are refused in one line or read as a possible machine: a few of the script's mutants."""
 
 from __future__ import annotations
 

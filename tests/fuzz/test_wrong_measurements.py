@@ -1,4 +1,4 @@
-"""Wrong files of measurements are refused with their cause, doubted, or as good as right ones: some of the script's."""
+"""Wrong measurement files are refused with their cause, doubted, or as good as correct ones: some of the script's."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_cause_is_named(robot: str, name: str, goods: dict[str, tuple[Any, f
 
 
 def test_a_bad_text_is_refused_at_once(tmp_path: Path) -> None:
-    """What the reader itself refuses, all of it: the list is of those that it refused when it was written."""
+    """Everything that the reader itself refuses: the list holds what it refused when it was written."""
     good = script.Good.of("pm3dof", 6)
     for name in script.REFUSED_BY_THE_READER:
         found = script.outcome(good, script.WRONG[name].spoil(good), tmp_path)

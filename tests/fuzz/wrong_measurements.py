@@ -1,4 +1,4 @@
-"""Wrong files of measurements: what people, spreadsheets and instruments make of a good one, and what comes of them.
+"""Wrong measurement files: good ones as spoiled by users, spreadsheets and instruments, and their results.
 
 Each is a good file with one mistake. A calibration from it is refused with the cause, or goes through with a doubt
 that names it, or is as good as that from the good file: none is silently wrong.
@@ -91,7 +91,7 @@ class Good:
         return command_columns(self.errors.robot)
 
     def missed(self, compensation: Compensation | None = None) -> Result:
-        """Return what the true machine misses when it is driven by a calibration, or as described, and the promise."""
+        """Return the true machine's error when driven by a calibration, or as described, and the stated bound."""
         commands, promise = self.wanted.commands, 0.0
         if compensation is not None:
             answer = compensation.compensate(self.wanted, on_failure="nan")
@@ -551,7 +551,7 @@ REFUSED_BY_THE_READER = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a file: "refused", "doubted" or "accepted", what was said, and how good the result is."""
+    """Result of a file: "refused", "doubted" or "accepted", the messages, and the accuracy of the result."""
 
     kind: str
     words: str
@@ -575,7 +575,7 @@ def _messages() -> Iterator[list[str]]:
 
 
 def outcome(good: Good, spoilt: Table | str, folder: Path, method: str = "lm") -> Outcome:
-    """Calibrate from a spoilt file, as the command does."""
+    """Calibrate from a corrupted file, as the command does."""
     path = folder / "spoilt.csv"
     text = spoilt if isinstance(spoilt, str) else as_text(spoilt)
     path.write_text(text, encoding="utf-8", newline="")

@@ -1,4 +1,4 @@
-"""Closing loops by compiled programs against the careful engine, on machines of every kind."""
+"""Closing loops by compiled programs against the Pinocchio engine, on machines of every kind."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def elbow_area(robot: Robot, q: np.ndarray) -> float:
 
 
 def test_a_walk_to_a_singular_pose_stays_in_the_mode_of_home_or_is_flagged():
-    """With an arm in line the five-bar's pen is at the end of its reach: walks stop there, and none gets past it."""
+    """With an arm straight the five-bar's pen is at the end of its reach: continuation stops there."""
     robot, solver = load("five_bar"), continuation("five_bar", "coordinates")
     q = robot.home.q
     home, sign = solver.read(q[None])[0], np.sign(elbow_area(robot, q))
@@ -207,7 +207,7 @@ def test_a_variant_is_solved_by_the_programs_of_its_prototype():
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod", "delta", "five_bar"])
 @pytest.mark.parametrize("given", ["coordinates", "commands"])
 def test_legs_twenty_times_shorter_end_in_the_same_poses(name, given, monkeypatch):
-    """Far out, where many walks meet a singular pose."""
+    """Far out, where continuation often meets a singular pose."""
     robot, solver = load(name), continuation(name, given)
     coordinates = robot.coordinates if given == "coordinates" else robot.command_coordinates
     units = np.array([1.0 if c.unit == "rad" else robot.characteristic_length for c in coordinates])

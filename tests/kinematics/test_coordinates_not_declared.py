@@ -1,4 +1,4 @@
-"""Coordinates and their ends where a description declares none: a platform held by four legs, a drive too many."""
+"""Coordinates and their ranges if a description declares none: a platform held by four legs, one drive too many."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_commands_that_contradict_each_other_are_refused(four_rrr: Robot) -> Non
 
 @pytest.mark.parametrize("name", ["x", "y"])
 def test_a_coordinate_goes_until_a_leg_is_stretched(four_rrr: Robot, name: str) -> None:
-    """The motor is 0.5 m off both axes, the corner 0.1 m: they part to 2 x 0.35 m."""
+    """The motor is 0.5 m off both axes, the corner 0.1 m: they separate to 2 x 0.35 m."""
     stretched = np.sqrt((2.0 * LINK) ** 2 - (BASE - CORNER) ** 2) - (BASE - CORNER)
     span = coordinate_range(four_rrr, four_rrr.coordinate(name))
     step = four_rrr.characteristic_length / 16.0
@@ -68,7 +68,7 @@ def test_a_coordinate_goes_until_a_leg_is_stretched(four_rrr: Robot, name: str) 
 
 
 def test_random_poses_are_drawn_over_coordinates(four_rrr: Robot) -> None:
-    """Four commands at random belong to no pose."""
+    """Four random commands correspond to no pose."""
     poses = reachable_poses(four_rrr, 50, np.random.default_rng(0))
     assert poses.within_limits.all()
     assert np.ptp(poses.coordinates, axis=0).min() > 0.1

@@ -1,4 +1,4 @@
-"""Batches of poses: commands, coordinates and tool placements belong together, on every robot."""
+"""Batches of poses: commands, coordinates and tool placements agree, on every robot."""
 
 from __future__ import annotations
 

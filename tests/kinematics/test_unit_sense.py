@@ -1,4 +1,4 @@
-"""Millimetres and degrees where metres and radians belong are refused with that guess, and what is none is not."""
+"""Millimetres and degrees in place of metres and radians are refused with that guess; valid values are not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The atlas: right numbers in the right places, the same bytes however it was computed, nothing half-written."""
+"""The atlas: right numbers in the right places, the same bytes however it is computed, nothing half-written."""
 
 from __future__ import annotations
 

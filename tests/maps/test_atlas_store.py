@@ -1,4 +1,4 @@
-"""A store that notices: damage, kills, full disks, two at once: the same bytes, or one line that says what to do."""
+"""Robustness of the store: damage, kills, full disks, two runs at once: the same bytes, or a one-line message."""
 
 from __future__ import annotations
 

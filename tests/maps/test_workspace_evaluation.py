@@ -1,4 +1,4 @@
-"""The stiffness over the whole workspace, against plain NumPy: Theory's formulas and weights written out again here."""
+"""The stiffness over the whole workspace, against plain NumPy: Theory's formulas and weights written out here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measurement files: the round trip, and what is said about files that are not right."""
+"""Measurement files: the round trip, and the messages for invalid files."""
 
 from __future__ import annotations
 

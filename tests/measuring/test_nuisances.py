@@ -1,4 +1,4 @@
-"""Nuisance parameters: derivatives by finite differences, ranks by an SVD of finite differences, values found again."""
+"""Nuisance parameters: derivatives by finite differences, ranks by an SVD of finite differences, values recovered."""
 
 from __future__ import annotations
 

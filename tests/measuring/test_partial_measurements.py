@@ -1,4 +1,4 @@
-"""Less than poses: single coordinates, distances, orientations, in any mix of rows of one file."""
+"""Partial measurements: single coordinates, distances, orientations, in any mix of rows of one file."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def _file(robot: Robot, machine: Robot, path: Path, rng: np.random.Generator, *,
 
 
 def _scale(machine: Robot, model: Robot) -> np.ndarray:
-    """By how much parts are too long in x and y when the machine is driven by a model of it."""
+    """Excess length of prints in x and y when the machine is driven by a model of it."""
     printed = machine.forward(model.solve(ENDS).commands).positions
     return np.array([np.linalg.norm(printed[k + 1] - printed[k]) / 0.2 - 1.0 for k in (0, 2)])
 
 
 def test_two_distances_give_a_printer_its_scale(errors: GeometricErrors, tmp_path: Path) -> None:
-    """Under 0.05 % with a probe of 10 um, where heights alone leave more than as much."""
+    """Under 0.05 % with a probe of 10 um; heights alone leave more than that."""
     robot, left = errors.robot, {False: [], True: []}
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -176,7 +176,7 @@ def _touched(machine: Robot, robot: Robot, centre: np.ndarray, radius: float) ->
 
 
 def test_a_sphere_tells_its_centre_and_the_machine(errors: GeometricErrors, tmp_path: Path) -> None:
-    """Two spheres lie a few millimetres from where anyone thinks: the machine comes out as from known centres."""
+    """Two spheres are a few millimetres off their assumed places: the result is as with known centres."""
     robot, truth = errors.robot, errors.sample(np.random.default_rng(4))
     machine = errors.apply(truth)
     centres = np.array([[0.05, 0.02, 0.03], [-0.06, -0.03, 0.05]])
@@ -223,7 +223,7 @@ def test_heights_above_a_bed_of_its_own(errors: GeometricErrors, tmp_path: Path)
 
 
 def test_an_instruments_own_frame_and_distances_in_one_file(errors: GeometricErrors, tmp_path: Path) -> None:
-    """Positions of a tracker beside lengths of a step gauge and distances from a point that the tracker has seen."""
+    """Positions from a tracker along with step-gauge lengths and distances from a point that the tracker measured."""
     robot, truth = errors.robot, errors.sample(np.random.default_rng(5))
     machine = errors.apply(truth)
     commands, marks = robot.solve(np.add(BED, [0.0, 0.0, 0.05])).commands, robot.solve(ENDS).commands

@@ -1,4 +1,4 @@
-"""Small mechanisms with closed-form kinematics, written as a user would: a URDF with its closures file beside it."""
+"""Small mechanisms with closed-form kinematics, written as a user would: a URDF and its closures file."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def write_robot(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]
 
 @pytest.fixture(scope="session")
 def make_four_bar(write_robot: Callable[..., Path]) -> Callable[..., Robot]:
-    """Load a four-bar; see :func:`four_bar_urdf`. It is driven at the crank, or where told."""
+    """Load a four-bar; see :func:`four_bar_urdf`. It is driven at the crank by default."""
 
     def make(
         *lengths: float, crank_type: str = "revolute", driven: str = "crank_joint", tool: str = "coupler"

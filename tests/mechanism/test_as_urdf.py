@@ -1,4 +1,4 @@
-"""Robots that are no plain URDF, written as one: the same frames, closures, drives and configurations."""
+"""Robots from other formats, written as a URDF: the same frames, closures, drives and configurations."""
 
 from __future__ import annotations
 

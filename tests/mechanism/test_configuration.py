@@ -32,7 +32,7 @@ def differences(value: Callable[[Configuration], Vector], configuration: Configu
 
 @pytest.fixture(scope="module")
 def zoo() -> Robot:
-    """Two branches of many kinds of joints, closed by a point and by a frame: nothing special about any of it."""
+    """Two branches of many kinds of joints, closed by a point and by a frame, in general position."""
     rng = np.random.default_rng(11)
     pin.seed(11)
     model = pin.Model()
@@ -59,7 +59,7 @@ def zoo() -> Robot:
 
 @pytest.fixture(params=range(5))
 def anywhere(zoo: Robot, request: pytest.FixtureRequest) -> Configuration:
-    """A random configuration of the zoo, with its loops wide open."""
+    """A random configuration of this mechanism, with its loops wide open."""
     rng = np.random.default_rng(request.param)
     neutral = pin.neutral(zoo.model)
     return zoo.configuration(pin.integrate(zoo.model, neutral, rng.uniform(-1.0, 1.0, zoo.model.nv)))

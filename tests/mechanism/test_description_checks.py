@@ -1,4 +1,4 @@
-"""What no machine has is refused by file, place and value, in every dialect, before a parser sees it."""
+"""Impossible machines are refused by file, place and value, in every dialect, before a parser sees them."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def _chain(links: int) -> str:
     ],
 )
 def test_depths_are_bounded(tmp_path: Path, name: str, text: str, said: str) -> None:
-    # in a process of its own: what is not bounded ends it by a signal
+    # in a process of its own: anything unbounded ends it by a signal
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     if path.suffix == ".srdf":

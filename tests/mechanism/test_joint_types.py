@@ -1,4 +1,4 @@
-"""Joints replaced by those they stand for, as the `robot.yaml` files of example-parallel-robots ask."""
+"""Joints replaced by those they stand for, as in the `robot.yaml` files of example-parallel-robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MJCF files read into mechanisms, held against MuJoCo itself."""
+"""MJCF files read into mechanisms, compared with MuJoCo itself."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def test_overconstrained_four_bar(welded_four_bar: Robot) -> None:
 def test_spinning_legs_are_idle(gough: Any) -> None:
     configuration = gough.mechanism.assemble(joints={"platform_joint": [0.01, 0.02, 0.1, 0.0, 0.0, 0.0, 1.0]})
     mobility = instantaneous_mobility(configuration)
-    # Kutzbach: 6 freedoms of the platform and 4 of each leg, less 3 for each closure
+    # Kutzbach: 6 degrees of freedom of the platform and 4 of each leg, less 3 for each closure
     assert mobility.count == 6 + 6 * 4 - 6 * 3
     assert (mobility.tool_mobility, mobility.redundant_constraints) == (6, 0)
     assert mobility.idle_motions.shape[1] == 6

@@ -1,4 +1,4 @@
-"""Programs against the careful engine at random poses of every robot, some of what the study of agreement does."""
+"""Programs against the Pinocchio engine at random poses of every robot: a small version of the agreement study."""
 
 from __future__ import annotations
 

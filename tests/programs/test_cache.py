@@ -1,4 +1,4 @@
-"""Programs kept on disk: found again, made again when damaged, done without where nothing can be written."""
+"""Programs cached on disk: found, rebuilt when damaged, and not needed if nothing can be written."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_program_is_compiled_once(folder, compilations):
 
 
 def test_many_poses_are_worth_care(folder, compilations, monkeypatch):
-    """Code compiled with care takes the place of the first, gives the same bits, and is the one loaded later."""
+    """Optimised code replaces the first, gives the same bits, and is the one loaded later."""
     monkeypatch.setattr(llvm, "MANY_POSES", 100)
     inputs = np.random.default_rng(8).uniform(0.0, 10.0, size=(60, 1))
     program = cache.compiled(make(3.7))

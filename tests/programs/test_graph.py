@@ -1,4 +1,4 @@
-"""What the recording numbers record, and what they leave out."""
+"""Recording numbers: what they record, and what they fold or share."""
 
 from __future__ import annotations
 

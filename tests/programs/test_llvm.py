@@ -76,7 +76,7 @@ def test_arctangent_of_zeros_and_infinities_is_that_of_ieee():
 @pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize("n_outputs", [1, 3, 8, 11])
 def test_rows_and_lanes(lanes, n_outputs):
-    """Rows may be any number, stand apart, and be written in place of others; what is beside them stays."""
+    """Any number of rows, with any stride, also in place; memory next to them is unchanged."""
     evaluate = compiled(lambda *x: [sqrt(absolute(sum(x))) * k + x[k % len(x)] for k in range(n_outputs)], 9, lanes)
     table = np.random.default_rng(3).normal(size=(40, 12))
     for n in (0, 1, 7, 8, 9, 31):
@@ -114,7 +114,7 @@ def test_what_is_the_same_for_all_poses():
 
 @pytest.mark.parametrize("careful", [False, True])
 def test_a_sum_with_a_product_is_rounded_as_the_text_says(careful):
-    """Once where the processor can; the same whether LLVM takes care or not."""
+    """Fused if the processor supports it; the same with and without LLVM's optimisation."""
     graph = Graph()
     x, y, z = (graph.input(name, [0.5]) for name in "xyz")
     program = graph.program("f", {"values": [x * y + z, y * z - x, y - z * x, x * x + y * y]})
@@ -255,7 +255,7 @@ def test_what_llvm_does_not_compile_is_said(monkeypatch):
 
 
 def test_machine_code_in_a_circle_of_references_is_collected():
-    """Whatever the collector finalises first: the process lives."""
+    """Whatever the garbage collector finalises first, the process survives."""
     for _ in range(5):
         program = compiled(lambda x: [x], 1)
         program.itself = program

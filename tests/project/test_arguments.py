@@ -1,4 +1,4 @@
-"""Arguments that are none: typed errors of the package, not what NumPy or a solver makes of them."""
+"""Invalid arguments: typed errors of the package instead of NumPy's or a solver's."""
 
 from __future__ import annotations
 

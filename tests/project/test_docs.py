@@ -72,7 +72,7 @@ def _blocks(page: Path) -> list[Block]:
 
 
 def _alike(expected: str, got: str, allowed: float) -> bool:
-    """Tell whether a number may stand for another one."""
+    """Tell whether two numbers count as equal."""
     a, b = (float(text.replace("\u2212", "-")) for text in (expected, got))
     mantissa, _, exponent = expected.lower().partition("e")
     last = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
@@ -82,7 +82,7 @@ def _alike(expected: str, got: str, allowed: float) -> bool:
 
 
 def _matches(expected: str, got: str, allowed: float) -> bool:
-    """Tell whether what is printed is what stands there, but for blanks, `...` and the last digits of numbers."""
+    """Tell whether the output is as expected, apart from blanks, `...` and the last digits of numbers."""
     if doctest.OutputChecker().check_output(expected, got, LIKE):
         return True
     there, printed = ([NUMBER.findall(part) for part in text.split("...")] for text in (expected, got))

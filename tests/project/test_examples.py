@@ -1,4 +1,4 @@
-"""The numbered examples and the notebooks: each runs from an empty folder, and leaves what it promises."""
+"""The numbered examples and the notebooks: each runs from an empty folder, and writes its results."""
 
 from __future__ import annotations
 

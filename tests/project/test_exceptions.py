@@ -1,4 +1,4 @@
-"""Errors of the package cross the border between processes with their text and their data."""
+"""Errors of the package pass between processes with their text and their data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files: only ordinary ones are read, each is written whole or not at all, and what a killed process left goes."""
+"""Files: only regular ones are read, each is written whole or not at all, and leftovers of killed processes go."""
 
 from __future__ import annotations
 

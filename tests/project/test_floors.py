@@ -1,4 +1,4 @@
-"""Imports point down the floors of the house, and never in a circle."""
+"""Imports point from upper layers to lower ones, and never in a circle."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
-# From the ground up. The rooms of one floor may use each other, in one direction.
+# From the lowest layer up. Subpackages of one layer may use each other, in one direction.
 FLOORS = (
     ("exceptions", "files", "typing", "arrays"),
     ("description",),

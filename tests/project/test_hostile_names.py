@@ -1,4 +1,4 @@
-"""A robot's name is text, wherever it is written: it opens, closes and computes nothing."""
+"""A robot's name is plain text wherever it is written: it is never markup, code or a formula."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is handed to public functions in the place of another object is refused by name."""
+"""Public functions refuse objects of the wrong kind by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of all machines share."""
+"""Shared by the tests of all machines."""
 
 from __future__ import annotations
 

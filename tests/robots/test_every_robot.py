@@ -1,4 +1,4 @@
-"""What holds for the description of every machine in robots/, read back from the committed files alone."""
+"""Properties of the description of every machine in robots/, read back from the committed files alone."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def test_the_weight_of_small_bodies_is_taken_out_of_their_neighbours(
     assert np.dot(masses, heights) / total == pytest.approx(tool[2] - plate, rel=1e-13)
 
 
-# What drives and people read
+# Commands and coordinates
 
 
 def test_every_drive_has_a_counter_and_every_number_a_range(robot: RobotFiles) -> None:

@@ -220,7 +220,7 @@ def test_compliance_away_from_home(
         np.testing.assert_allclose(computed.contributions.sum(axis=0), computed.compliance, rtol=0, atol=1e-18)
 
 
-# A machine of one's own
+# A machine with other parameters
 
 
 def test_eight_struts_of_other_places(tmp_path: Path) -> None:

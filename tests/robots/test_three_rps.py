@@ -115,7 +115,7 @@ def test_tubes_weigh_what_their_steel_does(numbers: Numbers) -> None:
 
 
 def test_three_freedoms_and_fifteen_redundant_constraints(machine: Robot) -> None:
-    """27 equations on 15 joints leave 3 freedoms, so that 15 follow from others: five in each A."""
+    """27 equations on 15 joints leave 3 degrees of freedom, so 15 are redundant: five in each A."""
     assert [closure.type for closure in machine.closures] == ["6d"] * 3 + ["3d"] * 3
     for configuration in (machine.home, generic_configuration(machine.home)):
         mobility = instantaneous_mobility(configuration)
@@ -142,7 +142,7 @@ def test_leg_lengths(
     at_home = np.linalg.norm(_legs(machine.home, hinges, platform_joints)[1], axis=1)
     for configuration in configurations:
         _, legs = _legs(configuration, hinges, platform_joints)
-        np.testing.assert_allclose(np.sum(legs * TANGENTS, axis=1), 0.0, atol=1e-12)  # no hinge lets a leg go aside
+        np.testing.assert_allclose(np.sum(legs * TANGENTS, axis=1), 0.0, atol=1e-12)  # hinges block sideways motion
         expected = np.linalg.norm(legs, axis=1) - at_home
         np.testing.assert_allclose(configuration.commands, expected, rtol=0, atol=1e-12)
 
@@ -163,7 +163,7 @@ def test_actuation_jacobian(configurations: list[Configuration], hinges: Matrix,
 
 
 def _beam_element(length: float, ea: float, ei: float, gj: float, direction: Matrix) -> Matrix:
-    """Stiffness of a beam between two nodes with six freedoms each, world axes, shape=(12, 12)."""
+    """Stiffness of a beam between two nodes with six degrees of freedom each, world axes, shape=(12, 12)."""
     bend, slope, near, far = 12 * ei / length**3, 6 * ei / length**2, 4 * ei / length, 2 * ei / length
     local = np.zeros((12, 12))  # x along the beam; y deflects with rz, z with ry
     for first, second, stiffness in ((0, 6, ea / length), (3, 9, gj / length)):

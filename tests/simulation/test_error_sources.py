@@ -1,4 +1,4 @@
-"""Error sources against closed-form numbers and the nonlinear models they stand for."""
+"""Error sources against closed-form numbers and the nonlinear models they represent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulated worlds: what surrounds a machine while it is measured, and each source of its errors alone."""
+"""Simulated worlds: the conditions while a machine is measured, and each source of its errors alone."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_what_is_not_there(tripod_errors: GeometricErrors, serial_arm: Robot, wo
 
 @pytest.mark.parametrize("robot", ["hexapod", "three_rps"])
 def test_the_loops_of_every_robot_close(robot: str) -> None:
-    """Also those of the overconstrained machine, with everything wrong that may be, at any pose and temperature."""
+    """Also those of the overconstrained machine, with every possible error, at any pose and temperature."""
     errors = GeometricErrors.load(robot)
     poses = reachable_poses(errors.robot, 20, np.random.default_rng(0))
     world = World.random("everything", closable(errors, poses), np.random.default_rng(1))

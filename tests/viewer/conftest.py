@@ -1,4 +1,4 @@
-"""A browser for the tests, and what they read from its page."""
+"""A browser for the tests, and readings from its page."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ for (const kind of ["drawArrays", "drawArraysInstanced", "drawElements", "drawEl
 
 
 class WatchedBrowser(Browser):
-    """A browser with a hand on mouse and keys, and an eye on what the page complains of and asks for."""
+    """A browser with control of mouse and keys, and a record of the page's errors and requests."""
 
     def __init__(self, width: int, height: int) -> None:
         self.errors: list[str] = []
@@ -161,7 +161,7 @@ class Page:
         return float(self.call("name => document.querySelector(`#sliders input[name='${name}']`).value", name))
 
     def picture(self) -> Array:
-        """What is seen, shape=(height, width, 3), in 0 .. 1."""
+        """The screenshot, shape=(height, width, 3), in 0 .. 1."""
         from matplotlib.image import imread
 
         self.ask("window.isDrawing = true, pm3dof.viewer.set_dirty()")

@@ -1,4 +1,4 @@
-"""Paths: ellipsoids that are turned into their neighbours the short way, and stay what they are."""
+"""Paths: ellipsoids that turn into their neighbours by the shortest rotation, and keep their shape."""
 
 from __future__ import annotations
 

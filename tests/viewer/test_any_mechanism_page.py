@@ -191,7 +191,7 @@ def test_all_of_it_is_in_the_picture(page: Any, write_robot: Any, tmp_path: Path
 
 
 def test_a_wrist_offers_no_stiffness(page: Any, tmp_path: Path) -> None:
-    """It gives in no direction but its three turns, so that there are neither K nor C of all six motions."""
+    """It is elastic in its three rotations only, so there is neither K nor C of all six motions."""
     mechanism = Robot.load(MACHINES / "agile_eye")
     viewer = Viewer(mechanism)
     viewer.motion_ellipsoid("velocity", kind="rotation")

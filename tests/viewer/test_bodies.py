@@ -1,4 +1,4 @@
-"""What is drawn of a mechanism: shapes, meshes, colours, stick figures, boxes around them."""
+"""Drawings of a mechanism: shapes, meshes, colours, stick figures, boxes around them."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_meshes_have_their_scale(write_robot: Write, tmp_path: Path, suffix: str
 
 
 def test_fine_meshes_are_drawn_with_fewer_triangles(write_robot: Write, tmp_path: Path) -> None:
-    """A ball of 81,920 triangles: fewer are drawn, on the ball but for what nobody sees, and the page stays small."""
+    """A ball of 81,920 triangles: fewer are drawn, invisibly close to the ball, and the page stays small."""
     trimesh.creation.icosphere(subdivisions=6, radius=0.5).export(tmp_path / "ball.stl")
     robot = Robot.load(write_robot(URDF.format(mesh=MESH.format(file=tmp_path / "ball.stl"))))
     page = Viewer(robot).save_html(tmp_path / "ball.html")
@@ -114,7 +114,7 @@ def test_packages_from_elsewhere(write_robot: Write, tmp_path_factory: pytest.Te
 
 
 def test_shapes_of_mjcf(tmp_path: Path) -> None:
-    """A capsule is a cylinder with two balls at its ends, an ellipsoid a ball that is stretched."""
+    """A capsule is a cylinder with two balls at its ends, an ellipsoid a stretched ball."""
     (tmp_path / "arm.xml").write_text(
         '<mujoco><worldbody><body name="arm"><joint/><geom type="capsule" size="0.1" fromto="0 0 0 0 0 1"/>'
         '<geom type="ellipsoid" size="0.1 0.2 0.3" pos="0 0 1"/></body></worldbody></mujoco>'
@@ -127,7 +127,7 @@ def test_shapes_of_mjcf(tmp_path: Path) -> None:
 
 
 def test_a_missing_mesh_is_named(write_robot: Write, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Files of strangers come without their meshes: a stick figure, and a warning that says why."""
+    """Downloaded files often lack their meshes: a stick figure, and a warning that says why."""
     urdf = write_robot(URDF.format(mesh=MESH.format(file=tmp_path / "gone.stl")))
     robot = Robot.load(urdf)
     assert [body.name for body in Bodies.of(robot)] == ["universe", "turn"]
@@ -163,7 +163,7 @@ def test_stick_figures_join_at_the_closures(robot: str) -> None:
 
 
 def test_free_joints_and_several_freedoms() -> None:
-    """A body that floats and one on a ball joint: joints with several freedoms."""
+    """A floating body and one on a ball joint: joints with several degrees of freedom."""
     model = pin.Model()
     float_joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "float")
     model.addJoint(float_joint, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])), "ball")

@@ -21,7 +21,7 @@ def random_stiffness(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["translation", "rotation"])
 def test_blocks(kind: str) -> None:
-    """By the meaning of the words: displacements under unit forces with the other three free, or clamped."""
+    """By definition: displacements under unit forces with the other three free, or clamped."""
     k = random_stiffness(3)
     c = np.linalg.inv(k)
     own, other = (slice(0, 3), slice(3, 6)) if kind == "translation" else (slice(3, 6), slice(0, 3))

@@ -1,4 +1,4 @@
-"""Robots drawn into a meshcat.Visualizer of the user's, which here keeps what it is sent."""
+"""Robots drawn into a user's meshcat.Visualizer, which here records what it is sent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page computes by itself, run by Node: poses, limits, compliance, forces and shares of many robots."""
+"""The page's own computations, run by Node: poses, limits, compliance, forces and shares of many robots."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_sliders_place_every_body_where_pinocchio_does(name: str, number: int) -
     reached = np.array([answer is not None for answer in answers])
     assert reached.sum() >= 0.9 * solve(values, on_failure="nan").solved.sum()
     assert reached.sum() >= 12
-    places = np.flatnonzero(reached)[:16]  # poses take the careful engine long, those out of reach longest
+    places = np.flatnonzero(reached)[:16]  # the Pinocchio engine is slow, most of all out of reach
     expected = solve(values[places], on_failure="nan", engine="pinocchio")
     assert expected.solved.sum() >= 0.9 * len(places)
     for place, index in enumerate(places):

@@ -1,4 +1,4 @@
-"""What a reader does in the page of any robot: choose ellipsoids and loads, drag bodies, follow paths and links."""
+"""User actions in the page of any robot: choose ellipsoids and loads, drag bodies, follow paths and links."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_a_load_tells_its_deflection(shown: Any, hexapod: Robot) -> None:
 
 
 def test_a_dragged_platform_goes_where_the_pointer_is(shown: Any, hexapod: Robot) -> None:
-    """All of it that six degrees of freedom can: the point that is held ends within a hundredth of a millimetre."""
+    """As far as six degrees of freedom allow: the held point ends within a hundredth of a millimetre."""
     joint = shown.ask("pm3dof.robot().data.tool_joint")
     local = [0.02, 0.01, 0.0]
     before = shown.call(
@@ -274,7 +274,7 @@ def test_singular_poses_are_announced(page: Any, hexapod: Robot, tmp_path: Path)
 def test_other_assemblies_are_those_of_the_closed_form(
     page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path
 ) -> None:
-    """Every way the page finds to assemble the tripod at given commands is one of all that the equations have."""
+    """Every assembly mode that the page finds for the tripod at given commands is a solution of the equations."""
     page.open(Viewer(mechanism).save_html(tmp_path / "page.html").as_uri())
     commands = [0.25, 0.23, 0.245]
     sets = page.ask("pm3dof.robot().data.sets.map(set => set.title)")

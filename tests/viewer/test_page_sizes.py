@@ -1,4 +1,4 @@
-"""The page of every robot on a desk and on a phone, light and dark: nothing overlaps, nothing runs over, no errors."""
+"""The page of every robot on desktop and phone, light and dark: nothing overlaps or overflows, no errors."""
 
 from __future__ import annotations
 

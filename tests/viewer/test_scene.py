@@ -1,4 +1,4 @@
-"""The tree of commands: what a page that comes late is told, and what is handed on meanwhile."""
+"""The tree of commands: what a late page receives, and what is forwarded meanwhile."""
 
 from __future__ import annotations
 

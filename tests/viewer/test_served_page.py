@@ -1,4 +1,4 @@
-"""The scene served to a real browser: what Python draws later appears, and everything ends in good order."""
+"""The scene served to a real browser: later drawings appear, and everything shuts down cleanly."""
 
 from __future__ import annotations
 

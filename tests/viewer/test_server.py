@@ -1,4 +1,4 @@
-"""The server: who can reach it, what it says when it cannot listen, and that nothing is left of it."""
+"""The server: who can reach it, its message when it cannot listen, and a clean shutdown."""
 
 from __future__ import annotations
 
@@ -163,13 +163,13 @@ def test_a_change_reaches_an_open_page(viewer: Viewer) -> None:
 )
 @pytest.mark.parametrize("page", ["/", "/socket"])
 def test_only_own_names_are_answered(viewer: Viewer, page: str, host: str, status: int) -> None:
-    """Another site may have its name resolved to this machine; the browser then still says that name."""
+    """Another site's name may resolve to this machine; the browser then still sends that name."""
     url = viewer.start()
     connection = http.client.HTTPConnection("127.0.0.1", port_of(url), timeout=5.0)
     with contextlib.closing(connection):
         connection.request("GET", page, headers={"Host": host})
         with connection.getresponse() as answer:
-            # what is no upgrade to a socket is a bad request of its own
+            # anything but an upgrade to a socket is a bad request
             assert answer.status == (400 if status == 200 and page == "/socket" else status)
 
 

@@ -1,4 +1,4 @@
-"""The page with the tripod in a real browser: what stands in its scene graph, before and after a slider is moved."""
+"""The page with the tripod in a real browser: its scene graph, before and after a slider is moved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`pm3dof view` from outside: what it writes and says, how it ends."""
+"""`pm3dof view` from outside: its files, messages and exit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def run(run: Run) -> Run:
 
 @contextmanager
 def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The command while it serves, and what it has said until then."""
+    """The command while it serves, and its output so far."""
     process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     try:

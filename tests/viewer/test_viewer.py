@@ -1,4 +1,4 @@
-"""The viewer's own rules: what belongs to a configuration, what can be continued, files, and bad input."""
+"""The viewer's own rules: what belongs to a configuration, what the page can update, files, and bad input."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_shares(mechanism: Robot) -> None:
     model = ElasticModel(mechanism)
     shares = Viewer(mechanism).colour_legs(model, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert sum(shares.values()) == pytest.approx(1.0)
-    assert shares["passive_leg"] > 0.999  # at home nothing else gives sideways
+    assert shares["passive_leg"] > 0.999  # at home nothing else is elastic sideways
     with pytest.raises(InvalidValueError, match="an elastic model of"):
         Viewer(Robot.load("hexapod")).colour_legs(model)
 
@@ -124,7 +124,7 @@ def test_a_picture_is_written(browser: Any, mechanism: Robot, tmp_path: Path) ->
 
 @pytest.mark.browser
 def test_errors_of_a_page_are_seen(browser: Any, tmp_path: Path) -> None:
-    """The tests' own eyes: a page that complains and asks for something is caught at it."""
+    """The tests' own checks: errors and requests of a page are detected."""
     (tmp_path / "bad.html").write_text(
         "<script>console.error('one', 2); fetch('http://192.0.2.1/three').catch(() => 0); nothing.at.all</script>"
     )
