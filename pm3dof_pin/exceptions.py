@@ -145,7 +145,8 @@ class DeflectionRangeError(PM3DofError):
     def __init__(self, deflection: str, factor: float) -> None:
         self.factor = factor
         super().__init__(
-            f"beyond a factor of {factor:.6g} {deflection}: expected smaller loads, or a body cut into more springs"
+            f"beyond a factor of {factor:.6g}, {deflection}: expected smaller loads, or a body divided into more "
+            "springs"
         )
 
 
