@@ -1,1 +1,1 @@
-"""Forces and motions of closed-chain mechanisms: holding forces, inverse dynamics, natural modes."""
+"""Statics and dynamics of closed-chain mechanisms: holding forces, inverse dynamics, natural modes."""

@@ -1,4 +1,4 @@
-"""Holding forces, inertia and natural frequencies at many poses, from compiled programs, with care where in doubt."""
+"""Holding forces, inertia and natural frequencies at many poses, by compiled programs, or pose by pose if in doubt."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
-_PROGRAM_FROM = 1000  # poses: fewer take Pinocchio no longer than a program takes to be recorded and compiled
+_PROGRAM_FROM = 1000  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
 
 
 class LoadedBatchOptions(BatchOptions, total=False):
-    """Keywords of what is computed at many poses of a robot with payloads."""
+    """Options of functions that evaluate many poses of a robot with payloads."""
 
     payloads: Payloads | None  #: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia`
 
@@ -49,7 +49,7 @@ def actuator_forces(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[Lo
         shape=(..., number of actuated joints) [N, N m].
 
     Raises:
-        PM3DofError: see :func:`~pm3dof_pin.dynamics.statics.holding_forces`.
+        PM3DofError: as :func:`~pm3dof_pin.dynamics.statics.holding_forces`.
     """
     return _of_drives(
         robot, poses, "holding_forces", lambda q, p: holding_forces(q, payloads=p).actuator_forces, 1, **options
@@ -59,7 +59,7 @@ def actuator_forces(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[Lo
 def drive_mass_matrices(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[LoadedBatchOptions]) -> Array:
     """Compute :func:`~pm3dof_pin.dynamics.mass_matrix.drive_mass_matrix` at many poses, shape=(..., u, u).
 
-    Arguments and errors are those of :func:`actuator_forces`.
+    Arguments and errors as in :func:`actuator_forces`.
     """
     require_kind("robot", robot, Robot, "pm.load")
     robot.require_possible_inertias()
@@ -76,7 +76,7 @@ def _of_drives(
     payloads: Payloads | None = None,
     **options: Unpack[BatchOptions],
 ) -> Array:
-    """Return a vector or matrix (of order 1 or 2) of the actuated joints at poses."""
+    """Return a vector (order 1) or matrix (order 2) over the actuated joints at poses."""
     require_kind("robot", robot, Robot, "pm.load")
     model = model_with_payloads(robot, payloads)
 
@@ -105,12 +105,12 @@ def natural_frequencies(
     payloads: Payloads | None = None,
     **options: Unpack[BatchOptions],
 ) -> Array:
-    """Compute the lowest natural frequencies at many poses, rising, shape=(..., count) [Hz]; NaN where there are fewer.
+    """Compute the lowest natural frequencies at many poses, ascending, shape=(..., count) [Hz]; NaN if there are fewer.
 
-    Other arguments are those of :func:`actuator_forces`, q being that of the rigid mechanism.
+    Other arguments as in :func:`actuator_forces`, with q of the rigid mechanism.
 
     Raises:
-        PM3DofError: see :func:`~pm3dof_pin.dynamics.modes.natural_modes`.
+        PM3DofError: as :func:`~pm3dof_pin.dynamics.modes.natural_modes`.
     """
     require_kind("elastic", elastic, ElasticModel, "pm.ElasticModel.load")
     elastic.mechanism.require_possible_inertias()
@@ -140,7 +140,7 @@ def natural_frequencies(
 
 
 def _frequencies(inverse_squares: NDArray[Any], count: int) -> Matrix:
-    """Return frequencies from 1 / omega^2, falling, shape=(n, count) [Hz]."""
+    """Return frequencies from descending 1 / omega^2, shape=(n, count) [Hz]."""
     found = np.full((len(inverse_squares), count), np.nan)
     first = inverse_squares[:, :count]
     has_mass = first > NO_MASS * inverse_squares[:, :1]

@@ -14,40 +14,40 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Vector
 
 BALANCE_TOLERANCE = 1e-9
-"""Equilibrium tolerance: load on motions that no actuator holds, relative to all of it."""
+"""Equilibrium tolerance: load on motions held by no actuator, relative to the total."""
 
 
 @dataclass(frozen=True, eq=False)
 class ActuatorForces:
     """Forces of the actuators and of the loop closures."""
 
-    #: forces f along the actuated joints, in their order, positive as their coordinates, shape=(number of actuated
+    #: forces f along the actuated joints, in order, with the sign of their coordinates, shape=(number of actuated
     #: joints,) [N, N m]
     actuator_forces: Vector
-    #: force (6d: wrench) lambda on frame b of each closure, its opposite being on frame a, in the axes of frame a, one
-    #: closure after the other, shape=(m,) [N, N m]
+    #: force (6d: wrench) lambda on frame b of each closure, opposite to that on frame a, in the axes of frame a,
+    #: closure by closure, shape=(m,) [N, N m]
     closure_forces: Vector
-    #: greatest entry of what is left of the balance [N]; moments are divided by the characteristic length
+    #: greatest entry of the residual of the balance [N]; moments are divided by the characteristic length
     residual: float
-    #: whether no other actuator forces balance the load. If others do, as with more actuators than degrees of freedom,
-    #: these are the shortest in scaled numbers
+    #: whether no other actuator forces balance the load. Otherwise, as with more actuators than degrees of freedom,
+    #: these have the least norm in scaled numbers
     actuator_forces_unique: bool
-    #: whether no other closure forces balance the load with these actuator forces. If others do, as with redundant
-    #: closures, rigid bodies do not tell which act, and these are the shortest in scaled numbers
+    #: whether no other closure forces balance the load with these actuator forces. Otherwise, as with redundant
+    #: closures, they are undetermined for rigid bodies, and these have the least norm in scaled numbers
     closure_forces_unique: bool
     #: whether the load works on idle degrees of freedom, such as the spin of a rod whose centre of mass is off its
-    #: axis. Actuators and tool do not take part in these motions; the balance leaves them out
+    #: axis. These motions do not move actuators or tool; the balance ignores them
     unbalanced_idle: bool = False
 
 
 def balance(configuration: Configuration, load: Vector, *, reference: float) -> ActuatorForces:
     """Solve A^T f + G^T lambda = load for the forces of the actuators and of the loop closures.
 
-    A picks the actuated joints' rates out of v, G is the constraint Jacobian. With Z a basis of the motions that keep
-    the loops closed, the actuators are found from (A Z)^T f = Z^T load, then the closures from what is left, both by
+    A selects the actuated joints' rates from v, G is the constraint Jacobian. With Z a basis of the motions that keep
+    the loops closed, the actuators are found from (A Z)^T f = Z^T load, then the closures from the remainder, both by
     singular value decomposition in scaled numbers: lengths are divided by the characteristic length, forces along an
-    axis multiplied by it. Work of the load on idle motions, which leave actuators and tool at rest, is left out. The
-    load has shape=(nv,) [N, N m]; its rounding goes by `reference`, the size of what it is the sum of [N m].
+    axis multiplied by it. Work of the load on idle motions, which leave actuators and tool at rest, is ignored. The
+    load has shape=(nv,) [N, N m]; `reference`, the size of its terms [N m], sets the level of rounding.
 
     Raises:
         SingularConfigurationError: the load works on a motion of the tool that the actuated joints do not hold.
@@ -81,7 +81,7 @@ def balance(configuration: Configuration, load: Vector, *, reference: float) -> 
 
 
 def _name(configuration: Configuration, dof: DegreesOfFreedom) -> str:
-    """Say what is wrong with a configuration whose actuated joints do not hold it."""
+    """Describe why the actuated joints do not hold a configuration."""
     count = dof.at_actuators.motions.shape[1]
     free = f"{count} degree{'s' if count > 1 else ''} of freedom left with the actuated joints at rest"
     if configuration.mechanism.tool_frame is None:

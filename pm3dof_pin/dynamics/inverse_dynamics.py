@@ -25,9 +25,9 @@ _CONSISTENT = 1e-9
 class _JointMotion(NamedTuple):
     """Velocity and acceleration of all joints: v and dv/dt, shape=(nv,) [SI].
 
-    `idle` are motions left when the given joints are at rest, the actuated joints and the tool then being so too, such
-    as the spin of a link about its own axis, shape=(nv, k), orthonormal in scaled numbers. In velocity and acceleration
-    they have the share that makes these shortest in scaled numbers.
+    `idle` are the motions that remain with the given joints, and thus actuated joints and tool, at rest, such as the
+    spin of a link about its own axis, shape=(nv, k), orthonormal in scaled numbers. Their share in velocity and
+    acceleration is that of least norm in scaled numbers.
     """
 
     velocity: Vector
@@ -37,7 +37,7 @@ class _JointMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics:
-    """The forces of a motion, and the motion: v and dv/dt, shape=(nv,) [SI]."""
+    """The forces of a motion, and the motion itself: v and dv/dt, shape=(nv,) [SI]."""
 
     forces: ActuatorForces
     velocity: Vector
@@ -56,8 +56,8 @@ def inverse_dynamics(
     """Compute the actuator forces of a motion, given by some joints' rates and accelerations.
 
     The motion of all joints follows from the loops, :func:`loop_motion`; the recursive Newton-Euler algorithm gives the
-    forces of the open tree, and virtual work on the motions of the closed loops gives those of the actuators. Rigid
-    bodies, no friction. Idle degrees of freedom are not driven: they accelerate as the forces make them.
+    forces of the open tree, and virtual work on the motions of the closed loops those of the actuators. Rigid bodies,
+    no friction. Idle degrees of freedom are not driven: they accelerate freely under the forces.
 
     Example:
         All drives at 0.1 m/s, without acceleration:
@@ -69,20 +69,20 @@ def inverse_dynamics(
 
     Args:
         configuration: an assembled configuration.
-        rates: of the given joints, shape=(number of them,) [m/s, rad/s].
-        accelerations: of the given joints, shape=(number of them,) [m/s^2, rad/s^2].
+        rates: rates of the given joints, shape=(number of joints,) [m/s, rad/s].
+        accelerations: accelerations of the given joints, shape=(number of joints,) [m/s^2, rad/s^2].
         joints: single-DoF joints that determine the motion, such as the mechanism's `motion_coordinates`; the
             actuated joints by default.
         payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
-        wrenches: wrenches [f; m] from outside, by frame, at its origin, world axes, shape=(6,) [N, N m].
+        wrenches: external wrenches [f; m], by frame, at its origin, world axes, shape=(6,) [N, N m].
 
     Raises:
         SingularConfigurationError: the joints do not determine the motion, or no actuator forces drive it.
-        InvalidValueError: the loops do not allow these rates or accelerations, or are not closed; or an argument is not
-            finite or has the wrong shape.
+        InvalidValueError: the loops do not permit these rates or accelerations, or are not closed; or an argument is
+            not finite or has the wrong shape.
         FrameNotFoundError: a payload or wrench names a frame that the model does not have.
         JointNotFoundError: the model has no such joint.
-        DescriptionError: the mechanism has no tool frame, or a body has moments of inertia that no body has.
+        DescriptionError: the mechanism has no tool frame, or a body has impossible moments of inertia.
     """
     mechanism = mechanism_of(configuration)
     mechanism.require_possible_inertias()
@@ -93,7 +93,7 @@ def inverse_dynamics(
     load = load - external
     free = np.zeros(model.nv)
     if motion.idle.size:
-        # nothing drives these motions: their generalised forces vanish, and one without mass stays at rest
+        # nothing drives these motions: their generalised forces vanish, and massless ones stay at rest
         mass, idle = mass_matrix(configuration, payloads=payloads), motion.idle
         free = idle @ np.linalg.lstsq(idle.T @ mass @ idle, -idle.T @ load)[0]
         load = load + mass @ free
@@ -110,9 +110,9 @@ def loop_motion(
     *,
     joints: Iterable[str] | None = None,
 ) -> _JointMotion:
-    """Compute the motion of all joints from that of some, with the loops kept closed: G v = 0, G dv/dt + dG/dt v = 0.
+    """Compute the motion of all joints from that of some, with closed loops: G v = 0, G dv/dt + dG/dt v = 0.
 
-    Arguments and errors are those of :func:`inverse_dynamics`.
+    Arguments and errors as in :func:`inverse_dynamics`.
     """
     mechanism = mechanism_of(configuration)
     names = mechanism.actuated_joints if joints is None else tuple(joints)
@@ -134,9 +134,9 @@ def loop_motion(
 
 
 def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vector:
-    """Compute dG/dt v, where G v = 0: the acceleration of frame b against frame a with dv/dt = 0: G dv/dt = -dG/dt v.
+    """Compute dG/dt v for G v = 0: the acceleration of frame b relative to frame a with dv/dt = 0.
 
-    In the axes of frame a, linear part first, one closure after the other, shape=(m,) [m/s^2, rad/s^2].
+    In the axes of frame a, linear part first, closure by closure, shape=(m,) [m/s^2, rad/s^2].
     """
     mechanism = mechanism_of(configuration)
     model, data = mechanism.model, mechanism.model.createData()
@@ -154,10 +154,10 @@ def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vec
 
 
 def _reached(argument: str, given: Restriction, numbers: Vector, start: Vector, units: Vector) -> Vector:
-    """Add to a scaled start, shape=(nv,), the shortest closed-loop motion that gives joints their wanted numbers."""
+    """Add to a scaled start, shape=(nv,), the least closed-loop motion that gives joints the requested numbers."""
     missing = numbers - given.rows @ start
     motion: Vector = start + given.inverse @ missing
     left = np.linalg.norm(numbers - given.rows @ motion)
     if left > _CONSISTENT * (np.linalg.norm(numbers) + np.linalg.norm(given.rows @ start)):
-        raise InvalidValueError(argument, listed(units * numbers), "what the loops allow")
+        raise InvalidValueError(argument, listed(units * numbers), "values that the loops permit")
     return motion

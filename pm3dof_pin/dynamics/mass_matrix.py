@@ -1,4 +1,4 @@
-"""Mass matrices: of the tree of bodies, and of the motions that keep its loops closed."""
+"""Mass matrices of the tree of bodies, and of the motions that keep its loops closed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = Non
     Raises:
         FrameNotFoundError: a payload names a frame that the model does not have.
         InvalidValueError: a payload's mass is negative or not finite.
-        DescriptionError: a body has moments of inertia that no body has.
+        DescriptionError: a body has impossible moments of inertia.
     """
     mechanism = mechanism_of(configuration)
     mechanism.require_possible_inertias()
@@ -31,15 +31,15 @@ def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = Non
 
 
 def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None = None) -> Matrix:
-    """Compute the mass matrix that the actuated joints feel: the kinetic energy is half of du^T M du, du their rates.
+    """Compute the mass matrix at the actuated joints: the kinetic energy is du^T M du / 2 for their rates du.
 
-    Joints that these rates leave free, such as a rod that spins, take the shortest motion in scaled numbers; so do the
-    rates themselves where there are more actuators than degrees of freedom. Shape=(u, u) [kg, kg m, kg m^2].
+    Joints left free by these rates, such as a spinning rod, take the motion of least norm in scaled numbers; so do the
+    rates themselves if there are more actuators than degrees of freedom. Shape=(u, u) [kg, kg m, kg m^2].
 
     Raises:
         SingularConfigurationError: the tool can move with the actuated joints at rest.
         InvalidValueError: the loops are not closed.
-        PM3DofError: see :func:`mass_matrix`.
+        PM3DofError: as :func:`mass_matrix`.
     """
     mechanism, dof = mechanism_of(configuration), DegreesOfFreedom(configuration)
     idle = dof.idle.motions.shape[1] if mechanism.tool_frame is not None else 0

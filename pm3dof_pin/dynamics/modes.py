@@ -1,12 +1,12 @@
 """Natural frequencies and mode shapes of an elastic mechanism at a configuration.
 
 The motions that keep the loops closed are Z, which strain the springs, with Z^T K_q Z = 1
-(:mod:`pm3dof_pin.elastic.motions`), and N, which leave them all at rest. No spring resists N: these are the modes of
-frequency zero, known from kinematics, not from a small eigenvalue. In the other modes the momentum along N vanishes,
+(:mod:`pm3dof_pin.elastic.motions`), and N, which do not. N are the modes of frequency zero, known from kinematics
+rather than from a small eigenvalue. In the other modes the momentum along N vanishes,
 
     Z' = Z - N (N^T M N)^-1 N^T M Z,
 
-and the eigenvalues of Z'^T M Z' are 1 / omega^2. Small vibrations without load and damping.
+and the eigenvalues of Z'^T M Z' are 1 / omega^2. This is for small vibrations without load and damping.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.typing import Matrix, Vector
 
 NO_MASS = 1e-13
-"""Part of the greatest 1 / omega^2 below which a motion counts as one without mass."""
+"""Motions of less 1 / omega^2 than this, relative to the greatest, are massless."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +34,14 @@ class Modes:
     """Natural modes at a configuration."""
 
     configuration: Configuration  #: the configuration, of the mechanism with virtual joints
-    frequencies: Vector  #: of the modes that strain springs, rising, shape=(k,) [Hz]
-    shapes: Matrix  #: velocities of all joints in these modes, shape=(nv, k), of unit modal mass: shapes^T M shapes = 1
+    frequencies: Vector  #: of the modes that strain springs, ascending, shape=(k,) [Hz]
+    shapes: Matrix  #: joint velocities in these modes, shape=(nv, k), of unit modal mass: shapes^T M shapes = 1
     twists: Matrix  #: twists [v; omega] of the tool in these modes, world axes, shape=(6, k)
-    #: basis of the motions with all springs at rest, the modes of frequency zero, shape=(nv, u), orthonormal in scaled
-    #: numbers
+    #: basis of the motions with all springs at rest, the modes of frequency zero, orthonormal in scaled numbers,
+    #: shape=(nv, u)
     free_motions: Matrix
     free_twists: Matrix  #: twists of the tool in the free motions, shape=(6, u)
-    without_mass: int  #: number of modes that strain springs and move no mass; they have no frequency
+    without_mass: int  #: number of massless modes that strain springs; they have no frequency
 
 
 def natural_modes(
@@ -61,19 +61,19 @@ def natural_modes(
 
     Args:
         model: the mechanism with its springs.
-        configuration: an assembled one, see :meth:`ElasticModel.configuration`.
-        count: number of modes to return, from the lowest on; all by default.
+        configuration: an assembled configuration, see :meth:`ElasticModel.configuration`.
+        count: number of modes to return, lowest first; all by default.
         payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
 
     Raises:
-        InvalidValueError: the loops are not closed, a payload or `count` is not a valid number, or a length that a
-            joint changes is not positive.
+        InvalidValueError: the loops are not closed, a payload or `count` is invalid, or a length changed by a joint is
+            not positive.
         FrameNotFoundError: a payload names a frame that the model does not have.
         DescriptionError: the mechanism has no tool frame.
     """
     require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
     if count is not None and count < 0:
-        raise InvalidValueError("count", count, "a number of modes, not negative")
+        raise InvalidValueError("count", count, "a nonnegative number of modes")
     elastic = model.configuration(configuration)
     motions = elastic_motions(model, elastic)
     mass = mass_matrix(elastic, payloads=payloads)
@@ -93,14 +93,14 @@ def natural_modes(
 
 
 def _vibrations(elastic: Matrix, free: Matrix, mass: Matrix) -> tuple[Vector, Matrix]:
-    """Return 1 / omega^2, rising, and the motions, of unit strain energy twice over, shapes=(e,), (nv, e)."""
+    """Return 1 / omega^2, ascending, and the motions, with strain energy 1/2, shapes=(e,), (nv, e)."""
     moved = elastic - free @ np.linalg.lstsq(free.T @ mass @ free, free.T @ mass @ elastic)[0]
     inverse_squares, directions = np.linalg.eigh(moved.T @ mass @ moved)
     return inverse_squares, moved @ directions
 
 
 def _with_definite_sign(shapes: Matrix, configuration: Configuration) -> Matrix:
-    """Turn each shape so that its greatest scaled entry is positive."""
+    """Choose the sign of each shape so that its greatest scaled entry is positive."""
     if not shapes.size:
         return shapes
     scaled = shapes / configuration.mechanism.velocity_scale[:, None]

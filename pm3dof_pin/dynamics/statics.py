@@ -1,4 +1,4 @@
-"""Holding forces: what the actuators and the loop closures bear while the mechanism stands still."""
+"""Holding forces: forces of the actuators and the loop closures at rest."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def holding_forces(
 ) -> ActuatorForces:
     """Compute the forces that hold a configuration against gravity, payloads and wrenches.
 
-    Virtual work on rigid bodies without friction: A^T f + G^T lambda = tau_g - sum J^T w, tau_g being the generalised
-    forces that hold the tree of bodies, payloads included, against `model.gravity`.
+    Virtual work on rigid bodies without friction: A^T f + G^T lambda = tau_g - sum J^T w, where tau_g are the
+    generalised forces that hold the tree of bodies, payloads included, against `model.gravity`.
 
     Example:
         A payload of 2 kg on the tool:
@@ -31,7 +31,7 @@ def holding_forces(
     Args:
         configuration: an assembled configuration.
         payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
-        wrenches: wrenches [f; m] from outside, by frame, at its origin, world axes, shape=(6,) [N, N m].
+        wrenches: external wrenches [f; m], by frame, at its origin, world axes, shape=(6,) [N, N m].
 
     Raises:
         SingularConfigurationError: no actuator forces hold the mechanism, as at a parallel singularity.

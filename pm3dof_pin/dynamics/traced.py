@@ -1,9 +1,8 @@
 """Holding forces, inertia and vibrations of a mechanism on recorded numbers, and their programs.
 
-The actuators' shortest motions S, v = S du with the loops closed, give both the forces that hold the weights,
-S^T tau_g, and the inertia that the actuators feel, S^T M S. Vibrations are those of
-:mod:`pm3dof_pin.dynamics.modes`, with strains of unit energy as coordinates: eigenvalues of a symmetric matrix, which
-are left to LAPACK.
+The least motions S per actuator rate, v = S du with the loops closed, give both the forces that hold the weights,
+S^T tau_g, and the inertia at the actuators, S^T M S. Vibrations are those of :mod:`pm3dof_pin.dynamics.modes`, with
+strains of unit energy as coordinates: eigenvalues of a symmetric matrix, computed by LAPACK.
 """
 
 from __future__ import annotations
@@ -33,14 +32,14 @@ from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects
 
 _NO_MASS = 1e-15
-"""Part of the mass of all bodies, times the unit of length squared, below which a motion moves no mass."""
+"""Motions of less mass than this, relative to that of all bodies times the unit of length squared, are massless."""
 
 
 def _drive_motions(tree: Tree, doubt: Doubt) -> Objects:
-    """Record the shortest motion of all joints, in scaled numbers, at unit rate of each actuated joint, shape=(nv, u).
+    """Record the least motion of all joints, in scaled numbers, at unit rate of each actuated joint, shape=(nv, u).
 
     Raises:
-        ProgramError: the tool can move with all actuators at rest, at the sample poses; or there is no tool to tell.
+        ProgramError: the tool can move with all actuators at rest, at the sample poses; or there is no tool.
     """
     robot = tree.mechanism
     unit, driven = robot.characteristic_length, robot.actuated_indices.tolist()
@@ -87,7 +86,7 @@ def _vibrations(tree: Tree, model: pin.Model, elastic: ElasticModel, doubt: Doub
     moved[tree.slides] = moved[tree.slides] * unit
     inertia = _symmetric(moved, product(Masses(tree, model).matrix, moved))
     reference = sum(body.mass for body in model.inertias) * unit**2
-    for k in range(motions.idle.shape[1]):  # what is free follows so that its momentum is zero
+    for k in range(motions.idle.shape[1]):  # free motions follow such that their momentum is zero
         pivot, row = inertia[k, k], inertia[k].copy()
         if np.nanmax(np.abs(samples(pivot))) <= _NO_MASS * reference:
             doubt.drop([sqrt(pivot * (1.0 / reference))])
@@ -109,7 +108,7 @@ def _symmetric(a: Objects, b: Objects) -> Objects:
 
 
 def holding_program(robot: Robot, poses: Matrix) -> Program:
-    """Record the holding forces, for other printers; masses are constants, geometry parameters.
+    """Record the holding forces, for printing in other languages; masses are constants, geometry parameters.
 
     Outputs: `forces`, shape=(u,); and `pivot`, the least pivot, small near singular poses.
 
@@ -123,9 +122,9 @@ def holding_program(robot: Robot, poses: Matrix) -> Program:
 
 
 def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
-    """Evaluate the matrix whose eigenvalues are 1 / omega^2; arguments and errors otherwise as for :func:`of_drives`.
+    """Evaluate the matrix whose eigenvalues are 1 / omega^2; other arguments and errors as in :func:`of_drives`.
 
-    Lower triangles, as `eigvalsh` reads them, shape=(n, e, e) [s^2]; and where nothing is in doubt, shape=(n,).
+    Returns lower triangles for `eigvalsh`, shape=(n, e, e) [s^2]; and where nothing is in doubt, shape=(n,).
     """
     frame = elastic.mechanism.frame_name()
 
@@ -151,9 +150,9 @@ def of_drives(
     q: Matrix,
     threads: int | None = None,
 ) -> tuple[Array, Mask]:
-    """Evaluate the holding forces, or the mass matrix that the actuated joints feel, flat, at q, shape=(n, nq).
+    """Evaluate the holding forces, or the mass matrix at the actuated joints, flat, at q, shape=(n, nq).
 
-    Beside them where nothing is in doubt, shape=(n,). `model` is the robot's tree, or a copy with payloads.
+    Also returns where nothing is in doubt, shape=(n,). `model` is the robot's tree, or a copy with payloads.
 
     Raises:
         ProgramError: there is no program for this robot.
@@ -174,6 +173,6 @@ def of_drives(
 
 
 def _finished(name: str, tree: Tree, values: Objects, doubt: Doubt) -> Program:
-    """Return the program of some values and of `sound`, 1 where the loops are closed and nothing is in doubt."""
+    """Return the program of values and of `sound`, 1 if the loops are closed and nothing is in doubt."""
     sound = doubt.is_none(values) & closed(tree)
     return tree.graph.program(name, {"values": values, "sound": select(sound, 1.0, 0.0)})

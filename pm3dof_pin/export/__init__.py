@@ -1,1 +1,1 @@
-"""The machine's files for other programs: generated, never written by hand."""
+"""A robot's files for other programs, all generated."""

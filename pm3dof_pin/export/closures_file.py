@@ -1,4 +1,4 @@
-"""The closures file as text: what the xacro of a robot says about its loops, in the form that people and tools read."""
+"""The closures file as text, generated from a robot's xacro."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ _NAMES = {"name", "type", "joint", "at", "unit", "frame", "frame_a", "frame_b", 
 def closures_text(xacro: Path, config: Path) -> str:
     """Expand the xacro of a closures file with a parameter file and write it as YAML.
 
-    Its root element holds, in any order: `<closure frame_a= frame_b= type=>` for each loop, with `swing_rad=` if there
-    is such a limit and `limits=` if it belongs to a group of limits; `<actuated joint=>`, with `command=`, the name of
-    what its counter shows, and that one's `unit=`, `offset=`, `scale=`; `<tool frame=>`, with `motions=` if not all six
-    components of its twist count as its motion; `<motion joint=>`; `<coordinate>` with its keys as attributes, and its
-    range as `lower=` and `upper=`; `<limits name= joint=>` for a joint in a group of limits; `<spring>` with the keys
-    of its type as attributes (a matrix as its numbers, row after row) or, if they are mappings, as children.
+    Its root element contains, in any order: `<closure frame_a= frame_b= type=>` for each loop, with `swing_rad=` if
+    there is such a limit and `limits=` if it belongs to a limit group; `<actuated joint=>`, with `command=`, the name
+    of its counter reading, and `unit=`, `offset=`, `scale=` of that; `<tool frame=>`, with `motions=` unless all six
+    components of its twist are its motion; `<motion joint=>`; `<coordinate>` with its keys as attributes, and its range
+    as `lower=` and `upper=`; `<limits name= joint=>` for a joint in a limit group; `<spring>` with the keys of its type
+    as attributes (a matrix as its numbers, row by row) or, if they are mappings, as children.
 
     Raises:
-        DescriptionError: the file cannot be expanded, or an element is of another form.
+        DescriptionError: the file cannot be expanded, or an element is malformed.
     """
     root = ElementTree.fromstring(expand_xacro(xacro, {"config": str(config)}))
     try:
@@ -141,7 +141,7 @@ def _matrix(spring: ElementTree.Element) -> str:
 
 
 def _entry(element: ElementTree.Element, key: str) -> str:
-    """Write an attribute as YAML: a name, the position of a closure, a number or several."""
+    """Write an attribute as YAML: a name, the index of a closure, or one or more numbers."""
     if key in _NAMES:
         if name := element.get(key):
             return name if yaml.safe_load(name) == name else repr(name)
@@ -162,7 +162,7 @@ def _numbers(element: ElementTree.Element, key: str) -> list[str]:
         raise _FormError(element, f"{key}: expected numbers, not '{text}'") from error
     if not numbers:
         raise _FormError(element, f"{key}: expected numbers, not '{text}'")
-    # YAML 1.1 wants a point before the exponent
+    # YAML 1.1 requires a point before the exponent
     return [number if "." in number else number.replace("e", ".0e") for number in numbers]
 
 

@@ -19,14 +19,14 @@ from pm3dof_pin.files import write_text_atomically
 
 
 def temporary_description(robot: str, config: Path | str) -> Path:
-    """Write the description of a packaged robot with other parameters to a folder that lasts as long as Python.
+    """Write the description of a packaged robot with other parameters to a folder that lasts as long as the process.
 
-    It has the URDF, which is returned, the closures file, the SRDF and a copy of the parameter file, named by its path
-    or as one beside the robot's own.
+    It contains the URDF, which is returned, the closures file, the SRDF and a copy of the parameter file, which is
+    given by its path, or by name if it is next to the robot's own.
 
     Raises:
         UnknownRobotError: no such robot comes with the package.
-        DescriptionError: see :func:`packaged_description`.
+        DescriptionError: as :func:`packaged_description`.
     """
     config = find_parameters(robot, config)
     name, texts = packaged_description(robot, config)
@@ -40,12 +40,12 @@ def temporary_description(robot: str, config: Path | str) -> Path:
 
 
 def packaged_description(robot: str, config: Path | str | None) -> tuple[str, dict[str, str]]:
-    """Return the name of a packaged robot, and the texts of its URDF, closures file and SRDF by their paths.
+    """Return the name of a packaged robot, and the texts of its URDF, closures file and SRDF by path.
 
     Raises:
         UnknownRobotError: no such robot.
-        DescriptionError: a quantity is missing from the parameter file or wrong, or the geometry it describes has no
-            home pose; or a xacro file is wrong.
+        DescriptionError: a quantity of the parameter file is missing or invalid, the geometry it describes has no home
+            pose, or a xacro file is invalid.
     """
     if robot not in robot_names():
         raise UnknownRobotError(robot, robot_names())

@@ -1,4 +1,4 @@
-"""Drake: a URDF whose loops close, in Drake's own words."""
+"""Drake: a URDF with loop closures, by Drake's extensions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pm3dof_pin.export.urdf_document import WORLD
 from pm3dof_pin.export.xml_text import document_text, numbers_text
 
 MESH_KINDS = (".obj", ".gltf", ".vtk")
-"""Suffixes of the mesh files that Drake takes as collision shapes; another one stops it."""
+"""Suffixes of the mesh files that Drake accepts as collision shapes; it fails on others."""
 
 _NAMESPACE = "http://drake.mit.edu"
 ElementTree.register_namespace("drake", _NAMESPACE)
@@ -25,9 +25,9 @@ def drake_text(robot: RobotDocument) -> str:
 
     It is the robot's URDF, fixed to the world, with `<drake:ball_constraint>` for the loop closures, a transmission for
     every actuated joint, and a filter group for each body that the SRDF or a closure keeps from colliding with another.
-    Drake's URDF has no weld: a 6d closure is three ball constraints, at the origin of the two frames and out on their x
-    and y axes. These are nine equations of rank six; the forces in the three are not unique, what they add up to is. A
-    plant takes ball constraints only if it is discrete and solved by SAP.
+    Drake's URDF has no weld: a 6d closure becomes three ball constraints, at the origin of the two frames and on their
+    x and y axes. These are nine equations of rank six; the three forces are not unique, but their resultant is. A plant
+    accepts ball constraints only if it is discrete and uses SAP.
     """
     root = urdf_element(robot.with_meshes_of(MESH_KINDS))
     _fix_to_world(root, robot.urdf.root.name)

@@ -1,4 +1,4 @@
-"""The formats a robot can be exported to, and the functions that write any of them."""
+"""The export formats, and the functions that write them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def exported_files(robot: RobotDocument, format_name: str) -> dict[str, str]:
 
     Raises:
         InvalidValueError: no such format.
-        DescriptionError: the robot has something that the format cannot say.
+        DescriptionError: the robot has something that the format cannot express.
         ConvergenceError: the loops do not close near the home configuration.
     """
     if format_name not in _WRITERS:
@@ -64,10 +64,10 @@ def export_robot(
     Args:
         robot: name or path of a robot, see :func:`~pm3dof_pin.description.robots.find_robot`.
         format_name: one of :data:`FORMATS`.
-        folder: where to; made if it is not there. A ROS package becomes a folder of its own in it.
-        meshes: whether shapes that are meshes are exported, and their files written.
-        tool_frame: frame meant by "the tool", where the description does not say or says another.
-        package_paths: folders that ROS packages are in.
+        folder: output folder, created if missing. A ROS package becomes a folder in it.
+        meshes: whether mesh shapes are exported, and their files written.
+        tool_frame: tool frame, if not or differently described.
+        package_paths: folders of ROS packages.
 
     Returns:
         The files written.
@@ -76,7 +76,7 @@ def export_robot(
         UnknownRobotError: no such robot.
         InvalidValueError: no such format.
         DescriptionError: a file of the robot is missing, unreadable or malformed, or the robot has something that
-            the format cannot say.
+            the format cannot express.
         FrameNotFoundError: the closures file names a frame that the URDF does not have.
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
         ConvergenceError: the loops do not close near the home configuration.

@@ -1,6 +1,6 @@
-"""Mesh files of a robot: found where its URDF says, and given names of their own in the folder of an export.
+"""Mesh files of a robot: found as named in its URDF, and given unique names in the folder of an export.
 
-Not every tool reads every kind of file. What it does not read is rewritten as OBJ, its triangles unchanged.
+Files that a tool cannot read are rewritten as OBJ with the same triangles.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _REWRITTEN = ".obj"  # every tool reads it
 
 
 class Meshes:
-    """The meshes that a URDF names, by their names in it, for a tool that reads files of some kinds.
+    """The meshes of a URDF, by their names in it, for a tool that reads certain file types.
 
     Attributes:
         copies: path of each file, by its path in the folder of an export.
@@ -43,7 +43,7 @@ class Meshes:
         return len(self.copies)
 
     def for_kinds(self, kinds: Collection[str]) -> Meshes:
-        """Return the meshes for a tool that reads files of some suffixes only; the others become OBJ files."""
+        """Return the meshes for a tool that reads only certain suffixes; the others become OBJ files."""
         return Meshes(self._sources, kinds)
 
     def exported(self, name: str) -> str:
@@ -54,7 +54,7 @@ class Meshes:
         """Write the files into the folder of an export, and return their paths.
 
         Raises:
-            DescriptionError: a file that has to be rewritten cannot be read.
+            DescriptionError: a file to be rewritten cannot be read.
             OutputError: a file cannot be written.
         """
         written = []
@@ -79,7 +79,7 @@ class Meshes:
 
 
 def _as_obj(path: Path) -> bytes:
-    """Read a mesh file and write its triangles as one OBJ; colours are left behind."""
+    """Read a mesh file and write its triangles as one OBJ, without colours."""
     lines: list[str] = []
     vertices = 0
     for mesh in read_meshes(path):

@@ -15,8 +15,8 @@ from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 MESH_KINDS = (".stl", ".obj", ".msh")
 """Suffixes of the mesh files that MuJoCo reads."""
 
-# Loops as hard as the solver can hold them: with the defaults a robot opens them by tenths of a millimetre, by weight
-# alone. A time constant of less than two steps counts as two steps, so the step belongs to it.
+# Loops as stiff as the solver permits: with the defaults, weight alone opens them by tenths of a millimetre. A time
+# constant of less than two steps is treated as two steps, so the step is set too.
 _STEP = 5e-4
 _STIFF = {"solref": "0.001 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
 _BANNER = "{name} for MuJoCo, generated from its description by `pm3dof export mjcf`. Edit that, not this file."
@@ -26,13 +26,13 @@ _SITE = "{}_site"
 def mjcf_text(robot: RobotDocument) -> str:
     """Write a robot as MJCF.
 
-    Every link is a body of its name and every joint has its name and coordinate, so q means what it means in the URDF.
-    The frames of loop closures and the tool frame also are sites, `<frame>_site`: a `connect` (3d) or `weld` (6d)
-    between two sites closes the right loop whichever configuration the file is loaded in, which one between two bodies
-    does not. Actuated joints have a force actuator of their name. The named configurations are keyframes.
+    Each link becomes a body of its name, and joints keep their names and coordinates, so q is as in the URDF. The
+    frames of loop closures and the tool frame are also sites, `<frame>_site`: a `connect` (3d) or `weld` (6d) between
+    two sites closes the right loop in whichever configuration the file is loaded, unlike one between two bodies. Each
+    actuated joint has a force actuator of its name. The named configurations are keyframes.
 
     Raises:
-        DescriptionError: the end of a branch moves and has no mass, which MuJoCo refuses.
+        DescriptionError: the end of a branch is movable and massless, which MuJoCo refuses.
         ConvergenceError: the loops do not close near the home configuration.
     """
     complete = robot.with_moving_mass("MuJoCo").with_meshes_of(MESH_KINDS)
@@ -54,7 +54,7 @@ class _Writer:
     def _carrier(self, frame: str) -> str:
         """The body that a site is written in: the one that moves it.
 
-        Pinocchio places a site wrongly, and says nothing, that stands in a fixed body in a fixed body, or in the root.
+        Pinocchio silently misplaces sites in a fixed body within a fixed body, or in the root.
         """
         above = self._robot.urdf.above(frame)
         while above is not None and above.is_fixed and above.parent != self._robot.urdf.root.name:
@@ -65,7 +65,7 @@ class _Writer:
     def document(self) -> Element:
         robot = self._robot
         root = Element("mujoco", model=robot.name)
-        # without discardvisual="false" nothing of a robot is drawn but what can collide
+        # without discardvisual="false" only collision shapes are drawn
         compiler = {"angle": "radian", "autolimits": "true", "discardvisual": "false"}
         SubElement(root, "compiler", compiler)
         SubElement(root, "option", timestep=number_text(_STEP), integrator="implicitfast", tolerance="1e-12")
@@ -81,7 +81,7 @@ class _Writer:
 
     def _defaults(self, default: Element) -> None:
         SubElement(default, "equality", _STIFF)
-        # by density: Pinocchio overlooks a default mass of 0, and weighs the shapes of bodies without inertia
+        # by density: Pinocchio ignores a default mass of 0, and computes mass from the shapes of bodies without inertia
         visual = SubElement(default, "default", {"class": "visual"})
         SubElement(visual, "geom", group="2", contype="0", conaffinity="0", density="0")
         collision = SubElement(default, "default", {"class": "collision"})
@@ -101,7 +101,7 @@ class _Writer:
                 SubElement(asset, "mesh", name=self._mesh_name(shape), file=file, scale=scale)
 
     def _mesh_name(self, shape: Shape) -> str:
-        # with its suffix: arm.stl may stand beside arm.obj
+        # with suffix: there may be both arm.stl and arm.obj
         scales = map(number_text, shape.sizes) if set(shape.sizes) != {1.0} else ()
         return "_".join([PurePath(self._robot.meshes.exported(shape.mesh)).name, *scales])
 
@@ -175,7 +175,7 @@ class _Writer:
 
 
 def _body(link: str) -> str:
-    """Name of the body of a link: `world` belongs to MuJoCo."""
+    """Name of the body of a link: `world` is reserved by MuJoCo."""
     return "world_link" if link == WORLD else link
 
 

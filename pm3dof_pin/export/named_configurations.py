@@ -1,4 +1,4 @@
-"""The SRDF as text: what its xacro says, with every named configuration completed by closing the loops."""
+"""The SRDF as text, generated from its xacro, with every named configuration completed by closing the loops."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pm3dof_pin.mechanism.configuration import Configuration
 _logger = logging.getLogger(__name__)
 
 _DIGITS = 14
-"""Joint values are rounded here: a stop is then met exactly, and a loop stays closed to 1e-13."""
+"""Decimals of joint values: stops are then met exactly, and loops stay closed to 1e-13."""
 
 _GENERATED = " Generated from the YAML in config/. Edit that, not this file. "
 _SECTIONS = {
@@ -30,15 +30,15 @@ _SECTIONS = {
 
 
 def srdf_text(xacro: Path, config: Path, urdf: str, closures: str) -> str:
-    """Expand the xacro of an SRDF with a parameter file and complete it by what URDF and closures file say.
+    """Expand the xacro of an SRDF with a parameter file, and complete it from URDF and closures file.
 
-    Its named configurations (`group_state`) hold the joints that make them what they are; the others follow from
-    closing the loops. One that cannot be reached within the limits of all joints is left out, and logged. The passive
-    joints are all those that the closures file does not name as actuated.
+    Its named configurations (`group_state`) give the joints that define them; the others follow from closing the loops.
+    Those that cannot be reached within all joint limits are omitted, and logged. Passive joints are all joints that the
+    closures file does not name as actuated.
 
     Raises:
         DescriptionError: the file cannot be expanded, or a value in it is not a number.
-        JointNotFoundError: it holds a joint that the URDF does not have.
+        JointNotFoundError: it names a joint that the URDF does not have.
     """
     source = ElementTree.fromstring(expand_xacro(xacro, {"config": str(config)}))
     mechanism = _mechanism(source.get("name", ""), urdf, closures)
@@ -69,7 +69,7 @@ def _mechanism(name: str, urdf: str, closures: str) -> Robot:
 
 
 def _movable_joints(urdf: str) -> list[str]:
-    """Names of the joints of a URDF that move, in the order of the file."""
+    """Names of the movable joints of a URDF, in the order of the file."""
     joints = ElementTree.fromstring(urdf).findall("joint")
     return [joint.get("name", "") for joint in joints if joint.get("type") != "fixed"]
 
@@ -100,7 +100,7 @@ def _number(xacro: Path, state: ElementTree.Element, joint: ElementTree.Element)
 
 
 def _obstacle(configuration: Configuration) -> str:
-    """What keeps the mechanism from this configuration; empty if nothing does."""
+    """What prevents this configuration; "" if nothing does."""
     for violation in configuration.violated_limits():
         return f"{violation.name} at {violation.value:.6g} is outside {violation.lower:.6g} .. {violation.upper:.6g}"
     return ""

@@ -1,4 +1,4 @@
-"""The description itself, to be put into another folder: as it is, but for the names of mesh files."""
+"""The description itself, for another folder: unchanged except for the names of mesh files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def description_texts(robot: RobotDocument, mesh_prefix: str = "") -> dict[str, 
 
 
 def _with_tool_frame(robot: RobotDocument, closures: str | None, tool_frame: str) -> str:
-    """Return the text of the closures file, if there is one, with the tool frame that the robot was loaded with."""
+    """Return the text of the closures file, if any, with the tool frame that the robot was loaded with."""
     line = f"tool_frame: {tool_frame}\n"
     if closures is None:
         return f"name_mot: [{', '.join(robot.mechanism.actuated_joints)}]\n{line}"
@@ -39,14 +39,14 @@ def _with_tool_frame(robot: RobotDocument, closures: str | None, tool_frame: str
 
 
 def urdf_text(robot: RobotDocument, mesh_prefix: str = "") -> str:
-    """Return the URDF of a robot, to the letter if it has no meshes; their names get a prefix, as `package://x/`."""
+    """Return the URDF of a robot, verbatim if it has no meshes; their names get a prefix, such as `package://x/`."""
     if not len(robot.meshes):
         return robot.urdf.text
     return document_text(urdf_element(robot, mesh_prefix), _BANNER.format(robot.name))
 
 
 def urdf_element(robot: RobotDocument, mesh_prefix: str = "") -> ElementTree.Element:
-    """Return a copy of a robot's URDF with the names of the meshes where an export puts them, after a prefix."""
+    """Return a copy of a robot's URDF with prefixed mesh names as in the export."""
     root = copy.deepcopy(robot.urdf.element)
     for mesh in root.iter("mesh"):
         mesh.set("filename", mesh_prefix + robot.meshes.exported(mesh.get("filename", "")))

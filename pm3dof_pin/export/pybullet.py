@@ -1,4 +1,4 @@
-"""PyBullet: closing the loops of a robot that is loaded from its URDF."""
+"""PyBullet: closing the loops of a robot loaded from its URDF."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ from pm3dof_pin.exceptions import FrameNotFoundError
 
 _BASE = -1
 _GREATEST_FORCE = 1e6
-"""Of a constraint [N]. A loop would give way beyond PyBullet's own 500 N."""
+"""Maximum force of a constraint [N]. With PyBullet's default of 500 N, loops would open."""
 
 
 def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
-    """Close the loops of a robot in PyBullet, and let go of its joints; return the constraint of each closure.
+    """Close the loops of a robot in PyBullet, and release its joints; return the constraint of each closure.
 
-    PyBullet reads no loops from files, counts the points of a constraint from the centres of mass of the links, and
-    brakes every joint by a motor of its own, which would hold a closed mechanism fast. A 3d closure becomes a
-    `JOINT_POINT2POINT`, a 6d closure a `JOINT_FIXED`. A fixed link, such as a frame, of which the URDF gives no inertia
-    is freed of the 1 kg that PyBullet puts there. `client` and `body` are ids of `pybullet.connect` and
-    `pybullet.loadURDF`, the latter with `useFixedBase=True` and `flags=pybullet.URDF_USE_INERTIA_FROM_FILE`, without
-    merging fixed links.
+    PyBullet reads no loops from files, measures the points of a constraint from the links' centres of mass, and gives
+    every joint a motor, which would lock a closed mechanism. A 3d closure becomes a `JOINT_POINT2POINT`, a 6d closure a
+    `JOINT_FIXED`. A fixed link without inertia in the URDF, such as a frame, is relieved of the 1 kg that PyBullet
+    assumes. `client` and `body` are ids of `pybullet.connect` and `pybullet.loadURDF`, the latter with
+    `useFixedBase=True` and `flags=pybullet.URDF_USE_INERTIA_FROM_FILE`, without merging fixed links.
 
     Raises:
         UnknownRobotError: no such robot.
@@ -82,7 +81,7 @@ def _constraint(client: int, body: int, loop: LoopClosure, names: dict[str, int]
 
 
 def _frame(client: int, body: int, link: int) -> tuple[list[float], list[float]]:
-    """Where the frame of a link is, seen from its centre of mass: position, quaternion x, y, z, w."""
+    """Placement of a link frame relative to the link's centre of mass: position, quaternion x, y, z, w."""
     import pybullet
 
     dynamics = pybullet.getDynamicsInfo(body, link, physicsClientId=client)

@@ -1,4 +1,4 @@
-"""Everything the exports are written from: a robot's URDF as a document, its closures, its SRDF, and the mechanism."""
+"""The source of all exports: a robot's URDF as a document, its closures, its SRDF, and the mechanism."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class RobotDocument:
-    """A robot, read and checked: its tree, the same in Pinocchio with loop closures, and its mesh files."""
+    """A checked robot: its tree, the same in Pinocchio with loop closures, and its mesh files."""
 
     files: RobotFiles
     urdf: UrdfDocument
@@ -44,7 +44,7 @@ class RobotDocument:
 
     @property
     def file_name(self) -> str:
-        """Name of the robot as the stem of file names: letters, digits, points, dashes and underscores."""
+        """Name of the robot for file names: letters, digits, points, dashes and underscores."""
         return re.sub(r"[^\w.-]+", "_", self.name).strip("._") or self.files.name
 
     @property
@@ -61,10 +61,9 @@ class RobotDocument:
 
     @cached_property
     def untouchable(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of links that must not collide: those of the SRDF, and links that a loop closure joins.
+        """Pairs of links whose collisions are disabled: those of the SRDF, and links joined by a loop closure.
 
-        Every tool lets two links overlap that a joint of the tree joins, where their shapes often meet; of closures
-        they do not know it.
+        All tools permit overlap of links joined by a joint of the tree, where shapes often meet, but not by closures.
         """
         known = {frozenset(pair) for pair in self.allowed_by_srdf}
         joined = [
@@ -77,34 +76,34 @@ class RobotDocument:
         return (*self.allowed_by_srdf, *dict.fromkeys(joined))
 
     def _rigid_body(self, link: str) -> list[Link]:
-        """Return the links that are one rigid body with a link."""
+        """Return the links that form one rigid body with a link."""
         while (above := self.urdf.above(link)) is not None and above.is_fixed:
             link = above.parent
         return list(self.urdf.fixed_to(link))
 
     @cached_property
     def home(self) -> Configuration:
-        """The home configuration with its loops closed, for other tools; ConvergenceError where they do not close."""
+        """The home configuration with its loops closed, for other tools; ConvergenceError if they do not close."""
         home = self.mechanism.home
         return home if home.closure_residual <= CLOSURE_TOLERANCE else self.mechanism.assemble(home)
 
     def home_position(self, joint: Joint) -> float:
-        """Return the coordinate of a joint in the home configuration [m, rad]; 0 of a fixed joint."""
+        """Return the coordinate of a joint in the home configuration [m, rad]; 0 for a fixed joint."""
         return 0.0 if joint.is_fixed else self.home.joint_position(joint.name)
 
     def named_configurations(self) -> dict[str, Configuration]:
-        """Return the named configurations of the SRDF, in its order, and home with its loops closed."""
+        """Return the named configurations of the SRDF, in order, and home with its loops closed."""
         named = {name: self.mechanism.configuration(q) for name, q in self.mechanism.named_configurations.items()}
         return {"home": self.home} | named | {"home": self.home}
 
     def with_moving_mass(self, tool: str) -> RobotDocument:
-        """Return the robot with mass and inertia in everything that moves, for a tool that needs them.
+        """Return the robot with mass and inertia for all moving links, for a tool that needs them.
 
-        A link without mass between two joints, such as the cross of a universal joint, gets a negligible one; and so
-        does the end of a leg that a closure makes one with another body.
+        A massless link between two joints, such as the cross of a universal joint, gets a negligible mass, and so does
+        the end of a leg that a closure joins to another body.
 
         Raises:
-            DescriptionError: a moving link that carries nothing, with all that is fixed to it, has none.
+            DescriptionError: a moving link at the end of a branch, with all links fixed to it, has none.
         """
         links, lightened = dict(self.urdf.links), []
         loops = zip(self.mechanism.closures, self.closure_links, strict=True)
@@ -118,20 +117,20 @@ class RobotDocument:
                 raise DescriptionError(
                     self.files.urdf,
                     f"link '{joint.child}'",
-                    f"expected mass and inertia, as {tool} needs of all that moves",
+                    f"expected mass and inertia, which {tool} requires of all moving links",
                 )
             links[joint.child] = replace(links[joint.child], inertial=_NEGLIGIBLE)
             lightened.append(joint.child)
         if not lightened:
             return self
         _logger.warning(
-            "%s: %s kg and %s kg m^2 are given to the links %s, which have no mass: %s needs some of all that moves",
+            "%s: %s kg and %s kg m^2 are assigned to the massless links %s: %s requires mass of all moving links",
             *(self.name, NEGLIGIBLE_MASS, NEGLIGIBLE_MOMENT, ", ".join(lightened), tool),
         )
         return replace(self, urdf=replace(self.urdf, links=links))
 
     def with_meshes_of(self, kinds: Collection[str]) -> RobotDocument:
-        """Return the robot for a tool that reads mesh files of some suffixes only; the others become OBJ files."""
+        """Return the robot for a tool that reads only certain mesh suffixes; the others become OBJ files."""
         return replace(self, meshes=self.meshes.for_kinds(kinds))
 
 
@@ -142,9 +141,9 @@ def read_robot(
     tool_frame: str | None = None,
     package_paths: Iterable[str | Path] = (),
 ) -> RobotDocument:
-    """Read a robot for export, as a plain URDF where it is written in something else or has joints that URDF lacks.
+    """Read a robot for export, as a plain URDF if it is in another format or has joints that URDF lacks.
 
-    For the arguments see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
+    Arguments as in :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
 
     Raises:
         UnknownRobotError: no such robot.
@@ -164,7 +163,7 @@ def read_robot(
 
 
 def _without_limits_that_are_none(urdf: UrdfDocument, mechanism: Robot) -> UrdfDocument:
-    """Take out the limits of joints that count as unlimited: URDF has 0 .. 0 where none are given."""
+    """Remove the limits of joints treated as unlimited: URDF has 0 .. 0 if none are given."""
     joints, element = [], copy.deepcopy(urdf.element)
     for joint in urdf.joints:
         if joint.lower is not None and np.isinf(mechanism.upper_limits[mechanism.single_joint(joint.name).q_index]):

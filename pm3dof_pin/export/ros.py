@@ -1,4 +1,4 @@
-"""A ROS 2 package around a robot's URDF, which shows it in RViz."""
+"""A ROS 2 package with a robot's URDF, which shows it in RViz."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UNKNOWN_EMAIL = "user@todo.todo"
 
 OUR_MANIFEST = {
     "maintainer": "The pm3dof-pin authors",
-    "email": "no-reply@pm3dof-pin.invalid",  # a manifest has to give one, and the project has none
+    "email": "no-reply@pm3dof-pin.invalid",  # required in a manifest, but the project has none
     "license_name": "BSD-2-Clause",
     "version": pm3dof_pin.__version__,
 }
@@ -139,7 +139,7 @@ Visualization Manager:
 
 
 def ros_package_name(robot: str) -> str:
-    """Return the name of a robot's ROS package: small letters, digits and underscores, a letter first."""
+    """Return the name of a robot's ROS package: lower-case letters, digits and underscores, a letter first."""
     name = re.sub(r"[^a-z0-9]+", "_", robot.lower()).strip("_")
     return f"{name if name[:1].isalpha() else f'robot_{name}'}_description"
 
@@ -152,12 +152,11 @@ def ros_files(
     license_name: str = _UNDECLARED_LICENSE,
     version: str = "0.0.0",
 ) -> dict[str, str]:
-    """Write a ROS 2 package (ament_cmake) around a robot, its folder to be named :func:`ros_package_name`.
+    """Write a ROS 2 package (ament_cmake) for a robot; its folder must be named :func:`ros_package_name`.
 
-    The launch file starts `robot_state_publisher`, `joint_state_publisher_gui` and RViz. Frames in ROS are a tree:
+    The launch file starts `robot_state_publisher`, `joint_state_publisher_gui` and RViz. Frames in ROS form a tree:
     sliders move the joints one by one and open the loops, so publish the joint positions of an assembled configuration
-    to see them closed. URDF, closures file and SRDF are among the files, so that pm3dof-pin can load the robot from
-    there.
+    to see them closed. URDF, closures file and SRDF are included, so pm3dof-pin can load the robot from there.
     """
     package = ros_package_name(robot.name)
     size = robot.mechanism.characteristic_length

@@ -1,4 +1,4 @@
-"""SDFormat: a robot as a graph, its loops closed by joints like any other."""
+"""SDFormat: a robot as a graph, with loops closed by ordinary joints."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pm3dof_pin.export.urdf_document import WORLD, Inertial, Joint, Link, Origin
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
 _VERSION = "1.7"
-"""The first one with frames, and with joints between them."""
+"""The first version with frames, and joints between them."""
 
 _BANNER = "{name} in SDFormat, generated from its description by `pm3dof export sdf`. Edit that, not this file."
 
@@ -20,14 +20,14 @@ _BANNER = "{name} in SDFormat, generated from its description by `pm3dof export 
 def sdf_text(robot: RobotDocument) -> str:
     """Write a robot as SDFormat.
 
-    Links that move or have mass are links, on the joints of their names. Links without mass at the end of a fixed joint
-    are frames, and their shapes are those of the link that carries them. Each loop closure is one more joint,
-    `<frame_a>_<frame_b>`: of type `ball` (3d) or `fixed` (6d). The root is fixed to the world. The poses are those of
-    the home configuration, with the loops closed, and every joint is at zero there: where home is not at zero in the
-    URDF, coordinates and limits count from home.
+    Links that move or have mass become links, on joints of the same names. Massless links at the end of a fixed joint
+    become frames, and their shapes belong to the link that carries them. Each loop closure becomes a joint
+    `<frame_a>_<frame_b>` of type `ball` (3d) or `fixed` (6d). The root is fixed to the world. The poses are those of
+    the home configuration, with the loops closed, where every joint is at zero: if home is not at zero in the URDF,
+    coordinates and limits are measured from home.
 
     Raises:
-        DescriptionError: the end of a branch moves and has no mass, which SDFormat cannot say.
+        DescriptionError: the end of a branch is movable and massless, which SDFormat cannot express.
         ConvergenceError: the loops do not close near the home configuration.
     """
     robot = robot.with_moving_mass("SDFormat")
@@ -50,7 +50,7 @@ class _Writer:
             self._link(urdf.root, None)
         self._below(urdf.root)
         for loop, (one, other) in zip(self._robot.closures, self._robot.closure_links, strict=True):
-            parent, child = (one, other) if one == WORLD else (other, one)  # the world is nobody's child
+            parent, child = (one, other) if one == WORLD else (other, one)  # the world cannot be a child
             self._joint(f"{loop.frame_a}_{loop.frame_b}", "ball" if loop.type == "3d" else "fixed", parent, child)
 
     def _below(self, link: Link) -> None:
@@ -135,7 +135,7 @@ class _Writer:
                         SubElement(material, part).text = numbers_text(shape.colour)
 
     def _shape_name(self, carrier: str, tag: str, shape: Shape) -> str:
-        """Names of a link's shapes have to be there and to differ."""
+        """Return a unique name for a shape, which SDFormat requires."""
         used, base = self._shape_names[carrier], shape.name or tag
         name, number = base, 1
         while name in used:

@@ -1,4 +1,4 @@
-"""A URDF as typed data, every number as the file has it: what the exports to other formats are written from."""
+"""A URDF as typed data, with numbers exactly as in the file: the source of exports to other formats."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.xml_text import document_text
 
 WORLD = "world"
-"""A root link of this name is the world itself, in MuJoCo, SDFormat and Drake."""
+"""In MuJoCo, SDFormat and Drake, a root link of this name is the world itself."""
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
@@ -28,19 +28,19 @@ _SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius
 
 @dataclass(frozen=True)
 class Origin:
-    """A placement as a URDF writes it [m, rad]: roll, pitch, yaw, not matrices, so that no digit changes on the way."""
+    """A placement as in a URDF [m, rad]: roll, pitch, yaw rather than matrices, so that no digit changes."""
 
     position: tuple[float, ...] = (0.0, 0.0, 0.0)
     roll_pitch_yaw: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     @property
     def is_rotated(self) -> bool:
-        """Whether any of the angles is not zero."""
+        """Whether any angle is nonzero."""
         return any(self.roll_pitch_yaw)
 
     @property
     def turn(self) -> pin.Quaternion:
-        """The rotation; continuous in the angles, so the same on every computer but for rounding."""
+        """The rotation; continuous in the angles, hence the same on every computer except for rounding."""
         turns = (pin.Quaternion(pin.AngleAxis(a, axis)) for a, axis in zip(self.roll_pitch_yaw, np.eye(3), strict=True))
         roll, pitch, yaw = turns
         return yaw * pitch * roll
@@ -58,7 +58,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass [kg] of a link, its centre, and ixx, iyy, izz, ixy, ixz, iyz about that, in its axes [kg m^2]."""
+    """Mass [kg] of a link, its centre, and ixx, iyy, izz, ixy, ixz, iyz about the centre, in its axes [kg m^2]."""
 
     mass: float
     origin: Origin
@@ -71,7 +71,7 @@ class Inertial:
 
     @property
     def moments_in_link_axes(self) -> tuple[float, ...]:
-        """The moments turned into the axes of the link, about the centre of mass."""
+        """The moments about the centre of mass, in the axes of the link."""
         rotation = self.origin.rotation
         turned = rotation @ inertia_matrix(self.moments) @ rotation.T
         return tuple(float(turned[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
@@ -79,7 +79,7 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Shape:
-    """A visual or collision shape of a link; texts are empty and the colour None where the URDF says none."""
+    """A visual or collision shape of a link; strings are empty and the colour None if the URDF has none."""
 
     name: str
     kind: str  #: box, cylinder, sphere or mesh
@@ -92,7 +92,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Link:
-    """A link, its inertial None if the URDF gives none."""
+    """A link; its inertial is None if the URDF has none."""
 
     name: str
     inertial: Inertial | None
@@ -107,7 +107,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint, its child placed in the parent at zero; numbers in SI units are None where the URDF gives none."""
+    """A joint, with the placement of its child in the parent at zero; SI units; None for what the URDF omits."""
 
     name: str
     kind: str  #: fixed, revolute, continuous or prismatic
@@ -130,7 +130,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class UrdfDocument:
-    """A URDF, read: its XML (not to be changed), its text, and links and joints in the order of the file."""
+    """A parsed URDF: its XML (not to be modified), its text, and links and joints in the order of the file."""
 
     path: Path
     element: ElementTree.Element
@@ -141,27 +141,27 @@ class UrdfDocument:
 
     @cached_property
     def root(self) -> Link:
-        """The link that hangs on no joint."""
+        """The root link."""
         children = {joint.child for joint in self.joints}
         return next(link for link in self.links.values() if link.name not in children)
 
     def below(self, link: str) -> Iterator[Joint]:
-        """Yield the joints that hang on a link, in the order of the file."""
+        """Yield the child joints of a link, in the order of the file."""
         return (joint for joint in self.joints if joint.parent == link)
 
     def above(self, link: str) -> Joint | None:
-        """Return the joint that a link hangs on, None for the root."""
+        """Return the parent joint of a link, None for the root."""
         return next((joint for joint in self.joints if joint.child == link), None)
 
     def fixed_to(self, link: str) -> Iterator[Link]:
-        """Yield a link and all those that hang on it by fixed joints only."""
+        """Yield a link and all links attached to it by fixed joints only."""
         yield self.links[link]
         for joint in self.below(link):
             if joint.is_fixed:
                 yield from self.fixed_to(joint.child)
 
     def link_of_frame(self, frame: str) -> str:
-        """Return the link whose frame is meant by the name of a link, or of the joint above it."""
+        """Return the link of a frame, given by the name of the link or of its parent joint."""
         return frame if frame in self.links else next(joint.child for joint in self.joints if joint.name == frame)
 
 
@@ -171,10 +171,10 @@ def wxyz(turn: pin.Quaternion) -> Quaternion:
 
 
 def read_urdf(path: Path, *, meshes: bool = True) -> UrdfDocument:
-    """Read a URDF that Pinocchio has read already, so that its tree is known to be one, with or without meshes.
+    """Read a URDF that Pinocchio has already read, so that its tree is known to be valid, with or without meshes.
 
     Raises:
-        DescriptionError: a number is malformed, or a type of joint or shape is not supported.
+        DescriptionError: a number is malformed, or a joint or shape type is not supported.
     """
     text = path.read_text(encoding="utf-8")
     root = ElementTree.fromstring(text)
@@ -184,7 +184,7 @@ def read_urdf(path: Path, *, meshes: bool = True) -> UrdfDocument:
 
 
 def _drop_meshes(root: ElementTree.Element) -> int:
-    """Take out shapes that are meshes, and count them."""
+    """Remove mesh shapes, and count them."""
     dropped = [
         (link, shape)
         for link in root.findall("link")
@@ -268,11 +268,11 @@ class _Reader:
 
     def _axis(self, element: ElementTree.Element, name: str, kind: str) -> tuple[float, ...]:
         axis = np.array(self._numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0)))
-        if kind == "fixed":  # some programs write "0 0 0" there
+        if kind == "fixed":  # some programs write "0 0 0" here
             return 1.0, 0.0, 0.0
         length = float(np.linalg.norm(axis))
         if not length > 0.0:
-            raise DescriptionError(self._path, f"joint '{name}'", "expected an axis that is not zero")
+            raise DescriptionError(self._path, f"joint '{name}'", "expected a nonzero axis")
         return tuple(float(x) for x in axis / length)
 
     def _named(self, element: ElementTree.Element, tag: str) -> str:

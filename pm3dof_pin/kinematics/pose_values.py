@@ -92,7 +92,7 @@ def evaluate_at(
     redone[doubtful] = ~failed[doubtful]
     if len(doubtful):
         _logger.info(
-            "%s of %s: %d of %d poses evaluated by Pinocchio and singular values, %d without a value",
+            "%s of %s: %d of %d poses computed by Pinocchio and singular values, %d without a value",
             *(name, robot.name, int(redone.sum()), len(rows), int(failed.sum())),
         )
     return PoseValues(values.reshape(*q.shape[:-1], *shape), redone.reshape(q.shape[:-1]), failed.reshape(q.shape[:-1]))

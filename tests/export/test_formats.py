@@ -227,13 +227,13 @@ def test_crosses_without_mass_get_a_negligible_one_where_a_format_needs_it(
     mass = ElementTree.fromstring(files["sdf/pm3dof.sdf"]).find(".//link[@name='cross1']/inertial/mass")
     assert mass is not None
     assert float(mass.text) == 1e-5
-    assert "1e-05 kg and 1e-09 kg m^2 are given to the links passive_cross, cross1, cross2, cross3" in caplog.text
+    assert "1e-09 kg m^2 are assigned to the massless links passive_cross, cross1, cross2, cross3" in caplog.text
 
 
 def test_ends_of_legs_without_mass_that_close_loops_get_a_negligible_one(caplog: pytest.LogCaptureFixture) -> None:
     mujoco = pytest.importorskip("mujoco")
     text = exported_files(read_robot(MACHINES / "agile_eye"), "mjcf")["agile_eye.xml"]
-    assert "1e-05 kg and 1e-09 kg m^2 are given to the links tip1, tip2, which have no mass" in caplog.text
+    assert "1e-05 kg and 1e-09 kg m^2 are assigned to the massless links tip1, tip2:" in caplog.text
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
