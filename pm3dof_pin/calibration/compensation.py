@@ -1,6 +1,6 @@
-"""Commands that take a real machine to wanted poses: the error compensation flow, Fig. 8.6 of the chapter.
+"""Commands that take a real machine to desired poses: the error compensation flow, Fig. 8.6 of the chapter.
 
-Wanted pose -> nominal inverse kinematics -> u -> predicted pseudo-error du(u) -> corrected command -> machine. The
+Desired pose -> nominal inverse kinematics -> u -> predicted pseudo-error du(u) -> corrected command -> machine. The
 prediction is a learned du on top of the nominal model, the inverse kinematics of a calibrated model, or both; then du
 is what remains between the calibrated model and the machine. du is a function of the command finally given, so the
 correction is iterated.
@@ -39,7 +39,7 @@ Conditions = Mapping[str, Array | float]
 
 _MAX_ITERATIONS = 30
 _SETTLED = 1e-13  # of the drives' joints, in addition to the rounding of their counters
-_MEETS = 1e-6  # greatest distance of the nominal machine from a wanted pose [m, tip-weighted]
+_MEETS = 1e-6  # greatest distance of the nominal machine from a desired pose [m, tip-weighted]
 _UNLOADINGS = 2  # each reduces a deflection by the factor deflection / machine size
 _CHUNK = 4096  # poses at a time, to bound the memory
 
@@ -134,7 +134,7 @@ class Compensation:
         with_deviations: bool = True,
         progress: Callable[[int, int], None] | None = None,
     ) -> Compensated:
-        """Return the commands for wanted poses of the tool.
+        """Return the commands for desired poses of the tool.
 
         Args:
             wanted: a pose of the robot as described, or poses of shape (n,), or homogeneous transforms of the tool,
@@ -179,7 +179,7 @@ class Compensation:
         solved = np.flatnonzero(nominal.solved)
         missed = tip_error(pose_difference(transforms[solved], nominal.transforms[solved]), self.eta)
         if np.any(missed > _MEETS):
-            raise UnreachablePoseError(f"{self.errors.robot.name} misses a wanted pose by {missed.max():.3g} m")
+            raise UnreachablePoseError(f"{self.errors.robot.name} misses a desired pose by {missed.max():.3g} m")
         return nominal
 
     def _fill(
@@ -222,7 +222,7 @@ class Compensation:
         return self._deflected(reached, conditions or {})
 
     def corrected(self, nominal: Poses, conditions: Conditions | None = None) -> Array:
-        """Return only the commands for wanted poses, shape=(n, commands) [m, rad]; see :meth:`compensate`."""
+        """Return only the commands for desired poses, shape=(n, commands) [m, rad]; see :meth:`compensate`."""
         nearest = self._nearest(nominal, self.model_poses(nominal), conditions or {})
         return self._corrected(nearest.commands, conditions or {})
 

@@ -20,7 +20,7 @@ from pm3dof_pin.typing import Array, Mask
 
 
 def uncertainty_budget(calibration: Calibration, poses: Poses) -> dict[str, float]:
-    """Return each source's contribution to the corrected machine's tip error, root mean square over wanted poses [m].
+    """Return each source's contribution to the corrected machine's tip error, root mean square over desired poses [m].
 
     "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": their positions, with
     drift and hysteresis; "parameters": unobserved ones; "learned"; "unmodelled"; "repeatability". The squares sum up to

@@ -1,4 +1,4 @@
-"""Stiffness on the chapter's six axes in the elastic model: K_jj and 1 / C_jj, to stand beside its own number."""
+"""Stiffness on the chapter's six axes in the elastic model, K_jj and 1 / C_jj, for comparison with the chapter."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.typing import Array
 
-_ROWS = (3, 4, 2, 0, 1, 5)  # of K and C, in the order of the chapter's AXES
+_ROWS = (3, 4, 2, 0, 1, 5)  # rows of K and C, in the order of the chapter's AXES
 
 
 def held_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
@@ -23,9 +23,9 @@ def held_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
 
 
 def felt_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
-    """Return 1 / C_jj: what a probe feels that pushes or turns along each axis and leaves all other motions free.
+    """Return 1 / C_jj: the stiffness felt by a probe that loads each axis and leaves all other motions free.
 
-    Arguments, result and errors as of :func:`held_stiffness`.
+    Arguments, result and errors as for :func:`held_stiffness`.
     """
     flexibility = inverse_definite(elastic_stiffness(tripod, poses))
     return indices.axis_stiffness(np.diagonal(flexibility, axis1=-2, axis2=-1))[..., _ROWS]

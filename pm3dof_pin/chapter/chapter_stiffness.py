@@ -1,13 +1,13 @@
-"""The stiffness of the chapter's section 8.2.3: a diagonal, as it was recovered from Table 8.3.
+"""The stiffness of the chapter's section 8.2.3: a diagonal, recovered from Table 8.3.
 
-The chapter prints coefficients and results, not the computation between them. What gives its numbers is, per axis,
+The chapter prints coefficients and results, not the computation between them. Its numbers are reproduced by, per axis,
 
     motion axes       diag(k_t J_a^T J_a + k_a J_t^T J_t + diag(k_b, k_b, 0)),  k_b = E I / L^3,  L = z_e - z_b
     constrained axes  T_x = T_y = k_b / L^2,  theta_z = G J / L^2
     global            mean of the six
 
-It adds actuator and link as if they stood side by side, and its coefficients of the passive leg have other dimensions
-than the axes they are put on: it is the published index, not the stiffness a probe would feel at the tool.
+It adds the stiffnesses of actuator and link as if they were in parallel, and its coefficients of the passive leg have
+other dimensions than the axes they are applied to: it is the published index, not the felt stiffness at the tool.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def chapter_stiffness(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure
 def chapter_diagonal(
     tripod: Tripod, heights: Array, link_jacobian: Array, travel_jacobian: Array, *, on_failure: OnFailure = "raise"
 ) -> Array:
-    """Return the chapter's diagonal, of given J_a (8.10), NaN out of reach, and J_t (8.9), shape=(..., legs, 3).
+    """Return the chapter's diagonal, given J_a (8.10) and J_t (8.9), shape=(..., legs, 3); NaN where out of reach.
 
     Raises:
         InvalidValueError: a height is at or below the clamp of the passive leg, and `on_failure` is "raise".
@@ -68,7 +68,7 @@ def chapter_diagonal(
 
 
 def require_above_clamp(tripod: Tripod, poses: Array) -> None:
-    """Raise InvalidValueError unless the passive leg sticks out of the middle platform at every pose (... z_e)."""
+    """Raise InvalidValueError unless the passive leg protrudes from the middle platform at every pose (... z_e)."""
     if np.any(poses[..., -1] <= tripod.clamp_height):
         expected = f"more than {tripod.clamp_height:.6g} m, where the middle platform clamps the passive leg"
         raise InvalidValueError("z_e", float(poses[..., -1].min()), expected)

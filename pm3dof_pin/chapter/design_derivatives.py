@@ -1,4 +1,4 @@
-"""How the compliance changes with the design: derivatives of C with respect to lengths, angles and spring constants."""
+"""Design derivatives: derivatives of C with respect to lengths, angles and spring constants."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DESIGN_PARAMETERS = (
     "bending_stiffness",
     "torsional_stiffness",
 )
-_STEP = 3e-4  # of the parameter; the error of the formula goes with its fourth power
+_STEP = 3e-4  # relative to the parameter; the error of the formula is of fourth order in it
 
 
 def design_derivatives(
@@ -34,13 +34,13 @@ def design_derivatives(
 ) -> dict[str, Array]:
     """Return dC/dp at fixed poses for :data:`DESIGN_PARAMETERS` p, by name, shape=(..., 6, 6) [unit of C / of p].
 
-    dC/dp = -C (dK/dp) C, with dK/dp by central differences of fourth order of the closed form, which agree with complex
-    steps to 5e-8 C / p. A change of geometry moves the heights of the level platform and with them the clamp of the
+    dC/dp = -C (dK/dp) C, with dK/dp by fourth-order central differences of the closed form, which agree with complex
+    steps to 5e-8 C / p. A change of geometry shifts the heights of the level platform and with them the clamp of the
     passive leg. Poses are (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
 
     Raises:
         InvalidValueError: an unknown parameter.
-        UnreachablePoseError: a pose is out of reach, or so near to it that a step of the parameter loses it.
+        UnreachablePoseError: a pose is out of reach, or becomes so after a step of the parameter.
     """
     pose_array = tripod.checked(poses)
     tool = inverse_definite(elastic_stiffness(tripod, pose_array))

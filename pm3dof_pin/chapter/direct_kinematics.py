@@ -1,4 +1,4 @@
-"""Direct kinematics of the tripod: from slider travels to poses, by Newton's method and by elimination."""
+"""Direct kinematics of the tripod, from slider travels to poses, by Newton's method and by elimination."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pm3dof_pin.typing import Array
 TOLERANCE = 1e-13  # largest link-length error of a solution [m]
 _MOST_STEPS = 50
 
-# Origins of the half-angle tangents: with them no pose of interest has an infinite tangent, and machines with
-# symmetries do not meet the elimination in a special position.
+# Origins of the half-angle tangents, chosen so that no pose of interest has an infinite tangent, and that symmetric
+# machines are not in a special position for the elimination.
 _ORIGIN_X = 0.3217
 _ORIGIN_Y = -0.1873
-_DISTINCT = 1e-7  # solutions nearer to each other than this are one [rad, m]
+_DISTINCT = 1e-7  # solutions closer than this are the same [rad, m]
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class _DirectKinematics:
 
     poses: Array  #: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m]
     residual: Array  #: largest link-length error at each pose, shape=(...) [m]
-    steps: NDArray[np.int64]  #: Newton steps done for each pose, shape=(...)
+    steps: NDArray[np.int64]  #: number of Newton steps for each pose, shape=(...)
     converged: NDArray[np.bool_]  #: residual within :data:`TOLERANCE`, shape=(...)
 
 
@@ -40,8 +40,8 @@ def newton(
     """Solve the direct kinematics by Newton's method on the link lengths; quadratic near a solution.
 
     The equations are (|k_i|^2 - l^2) / (2 l) = 0, in metres, and their derivative k_i . J_i / l (8.5); with more than
-    three legs the step is the least-squares one. A step turns the platform by 0.3 rad and moves it by 0.1 m at most.
-    From home, the default guess, every pose of the chapter's workspace is found. Nothing is raised without convergence.
+    three legs the step is the least-squares one. A step rotates the platform by at most 0.3 rad and moves it by at most
+    0.1 m. From home, the default guess, every pose of the chapter's workspace is found. Divergence does not raise.
 
     Raises:
         InvalidValueError: the travels u are not of shape (..., n).
@@ -57,7 +57,7 @@ def newton(
     for step in range(most_steps + 1):
         errors, jacobian = _length_errors(tripod, poses[moving], sliders[moving])
         residual[moving] = np.abs(errors).max(axis=-1)
-        # a quarter of the tolerance, so that another order of summation still finds the solution within it
+        # a quarter of the tolerance, so that a different order of summation still meets it
         far = residual[moving] > 0.25 * TOLERANCE
         if step == most_steps or not far.any():
             break
@@ -70,7 +70,7 @@ def newton(
 
 
 def _length_errors(tripod: Tripod, poses: Array, sliders: Array) -> tuple[Array, Array]:
-    """Return (|k_i|^2 - l^2) / (2 l) and its derivative to the pose, shapes=(m, n), (m, n, 3)."""
+    """Return (|k_i|^2 - l^2) / (2 l) and its derivative by the pose, shapes=(m, n), (m, n, 3)."""
     length = tripod.parameters.link_length
     turned = rotation(poses[:, 0], poses[:, 1])
     arms = np.einsum("mij,nj->mni", turned, tripod.platform_joints)
@@ -121,7 +121,7 @@ def direct_kinematics(tripod: Tripod, u: ArrayLike) -> Array:
             float(result.residual[worst]),
             "m of link length",
             int(result.steps[worst]),
-            "the links may not meet the platform at these travels; all_assembly_modes(), or fk --all, needs no guess",
+            "the links may not reach the platform at these travels; all_assembly_modes(), or fk --all, needs no guess",
         )
     return result.poses
 
@@ -132,15 +132,15 @@ def all_assembly_modes(tripod: Tripod, u: ArrayLike) -> Array:
     The three link equations are polynomials in the half-angle tangents s, t of theta_x, theta_y and in z_e. The
     differences of two of them are linear in z_e; with s hidden, a Sylvester-type matrix over the monomials t^0..3
     z^0..3 turns them into a quadratic eigenvalue problem in s of size 16. Its real eigenvalues are refined by Newton's
-    method. Poses have shape=(m, 3) [rad, rad, m], angles in (-pi, pi], the highest platform first; m is zero where the
+    method. Poses have shape=(m, 3) [rad, rad, m], angles in (-pi, pi], the highest platform first; m is zero if the
     loops cannot be closed. Limits and collisions are not checked.
 
     Raises:
-        InvalidValueError: the machine has not three legs, or u is not three finite numbers.
+        InvalidValueError: the machine does not have three legs, or u is not three finite numbers.
     """
     travels = _checked_travels(tripod, u)
     if tripod.leg_count != 3 or travels.shape != (3,) or not np.all(np.isfinite(travels)):
-        raise InvalidValueError("u", travels, "three finite slider travels of a machine with three legs")
+        raise InvalidValueError("u", travels, "three finite slider travels, and a machine with three legs")
     candidates = _candidates(_link_polynomials(tripod, travels))
     if len(candidates) == 0:
         return np.empty((0, 3))
@@ -182,7 +182,7 @@ def _link_polynomials(tripod: Tripod, u: Array) -> Array:
 
 
 def _candidates(polynomials: Array) -> Array:
-    """Return starting poses, all real solutions among them, shape=(m, 3)."""
+    """Return starting poses that include all real solutions, shape=(m, 3)."""
     tangents = [(s, t, z) for s in _hidden_tangents(polynomials) for t, z in _remaining_unknowns(polynomials, s)]
     s, t, z = np.array(tangents).reshape(-1, 3).T
     return np.stack([_ORIGIN_X + 2.0 * np.arctan(s), _ORIGIN_Y + 2.0 * np.arctan(t), z], axis=-1)
@@ -208,9 +208,9 @@ def _hidden_tangents(polynomials: Array) -> Array:
 
 
 def _remaining_unknowns(polynomials: Array, s: float) -> list[tuple[float, float]]:
-    """Return (t, z) that may go with s: t from both differences without z, z from the first equation.
+    """Return possible (t, z) for s: t from both differences without z, z from the first equation.
 
-    Solutions may share s, and even s and t, as they do at symmetric travels; so every combination is returned.
+    Solutions may share s, and even s and t, as at symmetric travels; so every combination is returned.
     """
     first, second, third = np.tensordot(np.array([1.0, s, s * s]), polynomials, axes=(0, 1))
     g, h = first - second, first - third
@@ -223,7 +223,7 @@ def _remaining_unknowns(polynomials: Array, s: float) -> list[tuple[float, float
 
 
 def _nearly_real(numbers: NDArray[Any]) -> Array:
-    """Real parts of the numbers that rounding may have taken off the real axis; double roots leave it by 1e-4 or so."""
+    """Real parts of numbers that are real up to rounding, which moves double roots off the axis by about 1e-4."""
     return np.asarray(numbers.real[np.abs(numbers.imag) < 1e-3 * (1.0 + np.abs(numbers))])
 
 
@@ -236,7 +236,7 @@ def _distinct(poses: Array) -> Array:
 
 
 def _distance(pose: Array, other: Array) -> float:
-    """Largest difference of two poses, angles counted the short way round."""
+    """Largest difference between two poses, with angles taken the short way round."""
     difference = pose - other
     difference[:2] = np.remainder(difference[:2] + np.pi, 2.0 * np.pi) - np.pi
     return float(np.abs(difference).max())

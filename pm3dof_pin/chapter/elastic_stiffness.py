@@ -2,8 +2,8 @@
 
     K = sum_i k_i w_i w_i^T + S^T (S C_b S^T)^-1 S,   1 / k_i = (n_i . e_i)^2 / k_a + 1 / k_t
 
-w_i = [n_i; R p_i x n_i] is the unit wrench of link i, S the three directions that the passive leg's universal joint
-holds (x, y and the turn about x_base x y_platform), C_b the tip compliance of a cantilever of length L = z_e - z_b.
+w_i = [n_i; R p_i x n_i] is the unit wrench of link i, S the three directions constrained by the passive leg's universal
+joint (x, y and rotation about x_base x y_platform), C_b the tip compliance of a cantilever of length L = z_e - z_b.
 Derivation: docs/theory.md.
 """
 
@@ -36,7 +36,7 @@ def elastic_stiffness(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure
 
 
 def _series_stiffness(legs: Legs) -> Array:
-    """Return k_i, actuator and link one behind the other, shape=(..., n) [N/m]."""
+    """Return k_i of actuator and link in series, shape=(..., n) [N/m]."""
     p = legs.tripod.parameters
     series: Array = 1.0 / (legs.cosines**2 / p.actuator_stiffness + 1.0 / p.link_stiffness)
     return series
@@ -51,7 +51,7 @@ def _of_legs(legs: Legs) -> Array:
 def _of_passive_leg(tripod: Tripod, poses: Array) -> Array:
     """Return S^T (S C_b S^T)^-1 S, NaN at or below the clamp, shape=(..., 6, 6).
 
-    y is by itself; x and the turn about (0, -sin theta_x, cos theta_x) form a block of two.
+    y is decoupled; x and the rotation about (0, -sin theta_x, cos theta_x) form a 2 x 2 block.
     """
     p = tripod.parameters
     length = poses[..., 2] - tripod.clamp_height
@@ -78,12 +78,12 @@ def contribution_names(tripod: Tripod) -> tuple[str, ...]:
 
 
 def spring_contributions(tripod: Tripod, poses: ArrayLike) -> Array:
-    """Return what each spring contributes to the compliance C = K^-1; the contributions add up to C.
+    """Return the contribution of each spring to the compliance C = K^-1; the contributions sum to C.
 
-    A wrench W at the tool puts the force f_i = k_i w_i^T C W on leg i, the part f_i (n_i . e_i) of it on the actuator,
-    and C_j is twice the energy that spring j then stores. The passive leg, whose bending and torsion act together, is
-    one. The derivative of C by the stiffness k_j is -C_j / k_j. Positive semidefinite, shape=(..., 2 n + 1, 6, 6) [m/N,
-    1/N, rad/(N m)], NaN out of reach.
+    A wrench W at the tool puts the force f_i = k_i w_i^T C W on leg i, of which f_i (n_i . e_i) acts on the actuator,
+    and C_j is twice the energy then stored in spring j. The passive leg, whose bending and torsion act together, counts
+    as one spring. The derivative of C by the stiffness k_j is -C_j / k_j. Positive semidefinite, shape=(..., 2 n + 1,
+    6, 6) [m/N, 1/N, rad/(N m)], NaN out of reach.
 
     Raises:
         InvalidValueError: poses of a wrong shape.

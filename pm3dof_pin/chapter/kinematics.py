@@ -19,7 +19,7 @@ def rotation(theta_x: ArrayLike, theta_y: ArrayLike) -> Array:
     x, y = np.broadcast_arrays(np.asarray(theta_x, dtype=float), np.asarray(theta_y, dtype=float))
     with np.errstate(invalid="ignore"):  # an infinite angle gives NaN
         cx, sx, cy, sy = np.cos(x), np.sin(x), np.cos(y), np.sin(y)
-    entries = np.empty((3, 3, *x.shape))  # the poses lie side by side in memory, as NumPy works through them
+    entries = np.empty((3, 3, *x.shape))  # poses are contiguous in memory, as NumPy traverses them
     rows = ((cy, 0.0, sy), (sx * sy, cx, -sx * cy), (-cx * sy, sx, cx * cy))
     for row, column in np.ndindex(3, 3):
         entries[row, column] = rows[row][column]
@@ -59,7 +59,7 @@ class Legs:
 
     tripod: Tripod  #: the machine
     orientation: Array  #: R of the platform, shape=(..., 3, 3)
-    arms: Array  #: R p_i, the platform joints E_i seen from O_e, base axes, shape=(..., n, 3) [m]
+    arms: Array  #: R p_i, platform joints E_i relative to O_e, base axes, shape=(..., n, 3) [m]
     travels: Array  #: u_i, shape=(..., n) [m]
     links: Array  #: k_i = D_i E_i, base axes, (8.7), shape=(..., n, 3) [m]
 
@@ -113,7 +113,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _dotted(matrices: Array, vectors: Array) -> Array:
-    """Turn each of n vectors by each of many matrices, shapes=(..., 3, 3), (n, 3) to (..., n, 3)."""
+    """Rotate each of n vectors by each of many matrices, shapes=(..., 3, 3), (n, 3) to (..., n, 3)."""
     shape = matrices.shape[:-2]
     turned = vectors @ np.moveaxis(matrices, (-2, -1), (0, 1)).reshape(3, 3, math.prod(shape))
     return np.moveaxis(turned.reshape(3, len(vectors), *shape), (0, 1), (-1, -2))
@@ -122,7 +122,7 @@ def _dotted(matrices: Array, vectors: Array) -> Array:
 def inverse_kinematics(
     tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
 ) -> Array:
-    """Return the slider travels u_i that bring the platform to each pose, (8.6), (8.7).
+    """Return the slider travels u_i for each pose of the platform, (8.6), (8.7).
 
     Args:
         tripod: the machine.
@@ -142,7 +142,7 @@ def inverse_kinematics(
 
 
 def placed_legs(tripod: Tripod, poses: Array, on_failure: OnFailure, modes: Array | float = -1.0) -> Legs:
-    """Return the legs at checked poses; what is out of reach or no number raises, or is NaN."""
+    """Return the legs at checked poses; those out of reach or not finite raise, or are NaN."""
     legs = Legs.at(tripod, poses, modes)
     if on_failure == "raise":
         _require_reach(tripod, poses, legs.travels)
@@ -150,7 +150,7 @@ def placed_legs(tripod: Tripod, poses: Array, on_failure: OnFailure, modes: Arra
 
 
 def _require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
-    """Raise UnreachablePoseError, naming pose and leg, where travels u are NaN; InvalidValueError where the pose is."""
+    """Raise UnreachablePoseError naming pose and leg if travels u are NaN; InvalidValueError if the pose is."""
     infinite = np.argwhere(~np.all(np.isfinite(poses), axis=-1))
     if len(infinite):
         first = tuple(int(entry) for entry in infinite[0])
@@ -175,7 +175,7 @@ def link_vectors(tripod: Tripod, poses: ArrayLike) -> Array:
 
 
 def platform_joint_jacobians(tripod: Tripod, poses: ArrayLike) -> Array:
-    """Return J_i, the motion of E_i against (theta_x, theta_y, z_e), (8.5), shape=(..., n, 3, 3) [m/rad, m/rad, 1]."""
+    """Return J_i, the derivative of E_i by (theta_x, theta_y, z_e), (8.5), shape=(..., n, 3, 3) [m/rad, m/rad, 1]."""
     pose_array = tripod.checked(poses)
     arms = _dotted(rotation(pose_array[..., 0], pose_array[..., 1]), tripod.platform_joints)
     twists = motion_twists(pose_array)[..., None, :, :]
@@ -185,7 +185,7 @@ def platform_joint_jacobians(tripod: Tripod, poses: ArrayLike) -> Array:
 
 
 def link_jacobian(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
-    """Return J_a, the elongation of the links against (theta_x, theta_y, z_e) with the sliders locked, (8.10).
+    """Return J_a, the derivative of the link lengths by (theta_x, theta_y, z_e) with the sliders locked, (8.10).
 
     Shape=(..., n, 3) [m/rad, m/rad, 1]; errors are those of :func:`inverse_kinematics`.
     """
@@ -193,7 +193,7 @@ def link_jacobian(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "
 
 
 def slider_jacobian(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
-    """Return J_t, the travel of the sliders against (theta_x, theta_y, z_e) with rigid links, (8.9), as J_a."""
+    """Return J_t, the derivative of the slider travels by (theta_x, theta_y, z_e) with rigid links, (8.9), like J_a."""
     legs = placed_legs(tripod, tripod.checked(poses), on_failure)
     return legs.wrenches @ motion_twists(poses) / legs.cosines[..., None]
 
@@ -201,9 +201,9 @@ def slider_jacobian(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure =
 def passive_joint_angles(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
     """Return (first, second, swing), the angles of the passive joints of every leg, shape=(..., n, 3) [rad].
 
-    The universal joint at D_i first turns about the horizontal axis normal to the link's home direction, then about the
-    axis normal to both; both angles count from home. The swing of the spherical joint is the angle between the link and
-    the joint's axis in the platform. Errors are those of :func:`inverse_kinematics`.
+    The universal joint at D_i rotates first about the horizontal axis normal to the link's home direction, then about
+    the axis normal to both; both angles are zero at home. The swing of the spherical joint is the angle between the
+    link and the joint's axis in the platform. Errors are those of :func:`inverse_kinematics`.
     """
     return placed_legs(tripod, tripod.checked(poses), on_failure).passive_angles
 

@@ -1,4 +1,4 @@
-"""Joint limits of the tripod (Table 8.1): which limit does a pose break, and by how much."""
+"""Joint limits of the tripod (Table 8.1): which limits a pose breaks."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pm3dof_pin.typing import Array, Mask
 
 
 class Limit(IntFlag):
-    """What may exclude a pose; combinations are sums.
+    """Limits that may exclude a pose; combinations are sums.
 
     Attributes:
-        REACH: a link is too short, whatever its slider does.
+        REACH: a link is too short at any slider position.
         STROKE: a slider leaves its travel.
-        UNIVERSAL: a universal joint at D_i turns too far.
+        UNIVERSAL: a universal joint at D_i rotates too far.
         SPHERICAL: a link leaves the cone of its spherical joint at E_i.
-        TILT: the universal joint of the passive leg turns too far.
+        TILT: the universal joint of the passive leg rotates too far.
         HEIGHT: the passive prismatic joint is at a stop.
     """
 
@@ -34,9 +34,9 @@ class Limit(IntFlag):
 
 
 LIMIT_NAMES = tuple(str(limit.name).lower() for limit in Limit)
-"""Names of the limits, from the lowest bit on."""
+"""Names of the limits, from the lowest bit."""
 
-_BATCH = 16_384  # poses at a time: large arrays take longer to get from the operating system than to compute
+_BATCH = 16_384  # poses at a time: allocating large arrays takes longer than the computation
 
 
 def limit_flags(tripod: Tripod, poses: ArrayLike) -> NDArray[np.uint8]:
@@ -56,7 +56,7 @@ def limit_flags(tripod: Tripod, poses: ArrayLike) -> NDArray[np.uint8]:
 
 
 def _broken(tripod: Tripod, poses: Array) -> dict[Limit, Mask]:
-    """Tell of n poses which break each limit."""
+    """Tell which of n poses break each limit."""
     u_min, u_max, universal, spherical, z_low, z_high = tripod.bounds
     legs = Legs.at(tripod, poses)
     u, angles = legs.travels, legs.passive_angles

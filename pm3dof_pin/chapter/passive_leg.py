@@ -1,4 +1,4 @@
-"""The passive leg as a round bar: what another radius makes of its stiffness and its mass."""
+"""The passive leg as a round bar: effect of its radius on stiffness and mass."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pm3dof_pin.exceptions import InvalidValueError
 
 
 def with_passive_leg_radius(tripod: Tripod, factor: float) -> Tripod:
-    """Return the machine with a passive leg `factor` times as thick: E I and G J go with r^4, its mass with r^2.
+    """Return the machine with a passive leg `factor` times as thick: E I and G J scale with r^4, its mass with r^2.
 
-    The same as another `section.passive_leg_radius` (and bore) in the parameter file.
+    Equivalent to changing `section.passive_leg_radius` (and bore) in the parameter file.
 
     Raises:
         InvalidValueError: the factor is not a positive number.

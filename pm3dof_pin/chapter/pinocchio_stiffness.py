@@ -1,7 +1,7 @@
-"""The chapter's stiffness on Pinocchio's Jacobians: every closed loop checked and every derivative taken on the URDF.
+"""The chapter's stiffness from Pinocchio's Jacobians: loops are checked and derivatives taken on the URDF.
 
-The platform hangs on the passive leg, so that (8.5) is Pinocchio's Jacobian of the frame E_i in the columns of the
-joints of that leg; a slider's direction is the Jacobian of D_i in the column of its joint. With k_i = E_i - D_i,
+The platform is carried by the passive leg, so (8.5) is Pinocchio's Jacobian of the frame E_i in the columns of that
+leg's joints; a slider's direction is the Jacobian of D_i in the column of its joint. With k_i = E_i - D_i,
 
     J_a,i = k_i^T J_i / |k_i|,    J_t,i = k_i^T J_i / (k_i . e_i).
 """
@@ -23,14 +23,14 @@ _MOTIONS = ("platform_x_joint", "platform_y_joint", "passive_slider_joint")
 
 
 def pinocchio_stiffness(robot: Robot, tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
-    """Return the chapter's diagonal stiffness as :func:`chapter_stiffness` does, on Jacobians of the machine's URDF.
+    """Return the chapter's diagonal stiffness like :func:`chapter_stiffness`, from Jacobians of the machine's URDF.
 
-    The tripod has its stiffness coefficients and the clamp of its passive leg.
+    The tripod provides the stiffness coefficients and the clamp of the passive leg.
 
     Raises:
-        InvalidValueError: the robot is no machine of the chapter's family, or a pose is at or below the clamp.
+        InvalidValueError: the robot is not of the chapter's family, or a pose is at or below the clamp.
         UnreachablePoseError: a pose is out of reach, and `on_failure` is "raise".
-        ConvergenceError: Pinocchio does not find the loops closed where the robot's program does.
+        ConvergenceError: a pose of the robot's program does not close the loops according to Pinocchio.
     """
     if not all(robot.model.existJointName(name) for name in _MOTIONS):
         raise InvalidValueError("robot", robot.name, f"a tripod with the joints {', '.join(_MOTIONS)}")

@@ -1,4 +1,4 @@
-"""The printed working ranges beside the reachable set of the machine's own parameters: where they agree, where not."""
+"""The printed working ranges compared with the reachable set of the machine's own parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class _RangeStatement:
 
     subject: str  #: what is compared: z_e, slider_travel, theta_x, theta_y, box, or binding_limits
     printed: tuple[float, ...]  #: the printed numbers, or none [unit]
-    computed: tuple[float, ...]  #: the computed numbers; of the binding limits, the shares in the order of Limit [unit]
+    computed: tuple[float, ...]  #: the computed numbers; for binding limits, the shares in the order of Limit [unit]
     unit: str  #: "m", "rad" or "1"
     text: str  #: the comparison in words, angles in degrees
 
@@ -55,7 +55,7 @@ def _heights(tripod: Tripod, workspace: Workspace) -> _RangeStatement:
 
 
 def _travel_at_printed_heights(tripod: Tripod) -> _RangeStatement:
-    """Slider travel of the level platform at the printed heights, NaN where no travel brings it there."""
+    """Slider travel of the level platform at the printed heights, NaN if no travel reaches them."""
     printed = tripod.parameters.height_range
     stops = tripod.bounds[:2]
     poses = np.stack([np.zeros(2), np.zeros(2), printed], axis=-1)

@@ -1,4 +1,4 @@
-"""The chapter's numbers as quantities of maps: they exist for a robot described by the parameters of a tripod."""
+"""The chapter's numbers as map quantities, for robots described by the parameters of a tripod."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COORDINATES = ("theta_x", "theta_y", "z_e")
 
 
 def _tripod_of(robot: Robot) -> Tripod | None:
-    """Return the tripod whose parameter file, `config/<name>.yaml`, stands in the robot's description; else None."""
+    """Return the tripod of the parameter file `config/<name>.yaml` in the robot's description, or None."""
     if tuple(coordinate.name for coordinate in robot.coordinates) != COORDINATES:
         return None
     return _tripod(Path(robot.source).absolute().parent.parent / "config" / f"{robot.name}.yaml")

@@ -1,4 +1,4 @@
-"""The chapter's stiffness over a section z_e = constant, as a labelled map and at any of its tilts."""
+"""The chapter's stiffness over a section z_e = constant, as a labelled map or as a function of the tilts."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def stiffness_section(
 
 
 def section_values(tripod: Tripod, z_e: float, variable: str) -> Callable[[Array], Array]:
-    """Return one variable of :func:`stiffness_section` at any tilts, shape=(n, 2) to (n,); there within all limits."""
+    """Return a variable of :func:`stiffness_section` as a function of tilts, shape=(n, 2) to (n,), within limits."""
     return lambda tilts: _stiffness(tripod, np.column_stack([tilts, np.full(len(tilts), z_e)]), None)[variable]
 
 
@@ -83,7 +83,7 @@ def _stiffness(tripod: Tripod, poses: Array, robot: Robot | None) -> dict[str, A
     if robot is None:
         diagonal = chapter_stiffness(tripod, poses, on_failure="nan")
     else:
-        from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness  # loading Pinocchio takes long
+        from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness  # loading Pinocchio is slow
 
         diagonal = pinocchio_stiffness(robot, tripod, poses, on_failure="nan")
     by_axis = {f"stiffness_{axis}": diagonal[..., k] for k, axis in enumerate(AXES)}

@@ -33,11 +33,11 @@ _STATISTICS: dict[str, Callable[[NDArray[np.float64]], Any]] = {
 class TableRow:
     """One number of Table 8.3."""
 
-    axis: str  #: theta_x, theta_y, t_z, t_x (which is t_y too), theta_z or global
+    axis: str  #: theta_x, theta_y, t_z, t_x (same as t_y), theta_z or global
     statistic: str  #: minimum, maximum or average over the section
     published: float  #: as printed
     computed: float  #: by this package
-    remark: str  #: what is known of the printed number, or an empty string
+    remark: str  #: comment on the printed number, or an empty string
 
     @property
     def relative_difference(self) -> float:
@@ -54,10 +54,10 @@ class TableRow:
 def table_8_3(
     tripod: Tripod | None = None, published: Path | str | None = None, *, robot: Robot | None = None
 ) -> list[TableRow]:
-    """Compute Table 8.3 on the chapter's grid and set it beside the published numbers, one row each, in its order.
+    """Compute Table 8.3 on the chapter's grid and pair it with the published numbers, one row each, in its order.
 
-    `published` is the YAML file with these; `robot` the same machine, to compute with Pinocchio's Jacobians instead of
-    the closed form.
+    `published` is the YAML file with these; `robot` is the same machine, to compute with Pinocchio's Jacobians
+    instead of the closed form.
 
     Raises:
         DescriptionError: the published table is missing or malformed.
@@ -70,13 +70,13 @@ def table_8_3(
 
 
 def _section_values(tripod: Tripod, robot: Robot | None) -> dict[str, NDArray[np.float64]]:
-    """Values of every axis at the chapter's poses that keep all joint limits."""
+    """Values of every axis at the chapter's poses within all joint limits."""
     poses = PolarGrid().poses(tripod.middle_height)
     poses = poses[limit_flags(tripod, poses) == 0]
     if robot is None:
         diagonal = chapter_stiffness(tripod, poses)
     else:
-        from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness  # loading Pinocchio takes long
+        from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness  # loading Pinocchio is slow
 
         diagonal = pinocchio_stiffness(robot, tripod, poses)
     return dict(zip(AXES, diagonal.T, strict=True)) | {"global": global_index(diagonal)}

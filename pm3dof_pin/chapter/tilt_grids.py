@@ -15,7 +15,7 @@ from pm3dof_pin.typing import Array
 class RectangularGrid:
     """Tilts at equal steps of theta_x and theta_y, ends included.
 
-    The default covers the chapter's printed working range of +-40 deg in steps of 1 deg: 6,561 poses a section.
+    The default covers the chapter's printed working range of +-40 deg in steps of 1 deg: 6,561 poses per section.
     """
 
     theta_x_range: tuple[float, float] = (math.radians(-40.0), math.radians(40.0))  #: first and last theta_x [rad]
@@ -42,8 +42,8 @@ class RectangularGrid:
 class PolarGrid:
     """Tilts on rays from the level platform: theta_x = r cos(phi), theta_y = r sin(phi).
 
-    The default is the grid of Table 8.3: r = 0:1.8:45 deg, phi = 0:2:360 deg, so that the last ray lies on the first
-    and the centre counts once a ray. Averages over it weigh the centre.
+    The default is the grid of Table 8.3: r = 0:1.8:45 deg, phi = 0:2:360 deg, so the last ray coincides with the first
+    and the centre counts once per ray. Averages over it overweight the centre.
     """
 
     radius_max: float = math.radians(45.0)  #: largest r [rad]

@@ -1,4 +1,4 @@
-"""The tripod as arrays: everything the closed form needs, computed once from the parameters."""
+"""The tripod as arrays: all that the closed form needs, computed once from the parameters."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Tripod:
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> Tripod:
-        """Read a tripod from its parameter file, by default the chapter's; DescriptionError where a number is wrong."""
+        """Read a tripod from its parameter file, by default the chapter's; DescriptionError if a number is wrong."""
         return cls(TripodParameters.load(path))
 
     @property
@@ -80,7 +80,7 @@ class Tripod:
 
     @property
     def middle_height(self) -> float:
-        """Middle of the heights that the stroke gives a level platform: the section of Table 8.3 [m]."""
+        """Middle of the stroke's height range for a level platform: the section of Table 8.3 [m]."""
         return 0.5 * (self.height_min + self.height_max)
 
     @cached_property
@@ -92,7 +92,7 @@ class Tripod:
         """Return z_e of the level platform with every slider at the same travel [m], platform above the sliders.
 
         Raises:
-            UnreachablePoseError: the links do not meet the level platform, or not all at one height.
+            UnreachablePoseError: the links do not reach the level platform, or not all at the same height.
         """
         difference = self.platform_joints - self.base_joints - slider * self.guide_directions
         radicand = self.parameters.link_length**2 - difference[:, 0] ** 2 - difference[:, 1] ** 2
@@ -107,7 +107,7 @@ class Tripod:
         """Return poses as an array, shape=(..., 3).
 
         Raises:
-            InvalidValueError: poses of another shape, not real, or in what looks like degrees or millimetres.
+            InvalidValueError: poses of another shape, not real, or apparently in degrees or millimetres.
         """
         array = real_array("poses", poses)
         if array.ndim == 0 or array.shape[-1] != 3:

@@ -1,4 +1,4 @@
-"""The coordinates of the tripod with its limits in closed form, in which its workspace is searched (Fig. 8.2)."""
+"""The tripod's coordinates and limits in closed form, for searching its workspace (Fig. 8.2)."""
 
 from __future__ import annotations
 

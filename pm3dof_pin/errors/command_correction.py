@@ -1,4 +1,4 @@
-"""Commands that bring a robot nearest to a wanted pose, in the tip-weighted sense.
+"""Commands that bring a robot nearest to a desired pose, in the tip-weighted sense.
 
 With fewer drives than the pose has degrees of freedom, no commands reach the full pose; those that minimise
 |translation|^2 + eta^2 |rotation|^2 are taken. The remainder cannot be corrected by commands.

@@ -19,12 +19,12 @@ TIP_LENGTH = 0.1
 
 
 def position_error(ideal: ArrayLike, real: ArrayLike) -> Array:
-    """Return the distance between positions of wanted and reached poses, shape=(..., 4, 4), (8.16), shape=(...) [m]."""
+    """Return the distance between desired and reached positions, shape=(..., 4, 4), (8.16), shape=(...) [m]."""
     return np.asarray(np.linalg.norm(_position(real) - _position(ideal), axis=-1))
 
 
 def orientation_error(ideal: ArrayLike, real: ArrayLike) -> Array:
-    """Return the angle between orientations of wanted and reached poses, in [0, pi], shape=(...) [rad].
+    """Return the angle between orientations of desired and reached poses, in [0, pi], shape=(...) [rad].
 
     (8.17) prints an arc cosine of a sum of cosine products, which is acos(3) for zero error. This is the angle of
     the relative rotation. acos((tr - 1) / 2) would lose half its digits near zero, and 2 asin of the Frobenius norm of
@@ -42,7 +42,7 @@ def energy(ideal: ArrayLike, real: ArrayLike, eta: float = TIP_LENGTH) -> Array:
 
 
 def pose_difference(ideal: ArrayLike, real: ArrayLike) -> Array:
-    """Return the motion from the wanted to the reached pose, [translation; rotation vector], shape=(..., 6) [m, rad].
+    """Return the motion from the desired to the reached pose, [translation; rotation vector], shape=(..., 6) [m, rad].
 
     In world axes. The rotations are composed, R' = exp(rotation vector) R; (8.13) adds increments to Euler angles.
     """

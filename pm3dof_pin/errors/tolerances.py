@@ -1,4 +1,4 @@
-"""Tolerance allocation: how accurately each class of parts must be made for a wanted accuracy of the tool.
+"""Tolerance allocation: how accurately each class of parts must be made for a desired accuracy of the tool.
 
 With independent errors of standard deviation t, the rms tip error at pose j over machines is sqrt(sum_i a_ij t_i^2),
 where a_ij is the effect of parameter i on the squared tip error there. Errors of one class and unit share one

@@ -1,1 +1,1 @@
-"""Quantities over grids of poses as labelled arrays, and what the chapter prints of them."""
+"""Quantities over grids of poses as labelled arrays, and the workspace."""

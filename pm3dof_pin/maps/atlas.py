@@ -1,10 +1,10 @@
 """The atlas: quantities of any robot over a grid of its coordinates, in bounded memory, resumable.
 
-An atlas is computed in blocks of whole rows of its last dimensions. Every block is written into a Zarr store
-`<name>.parts` beside the result, brought to the disk, and then entered with its checksums into the store's journal. A
-job that was killed goes on with the blocks that are not in the journal, or are not what the journal says. When all are
-there the store becomes the result. A block is computed from its own poses alone: no byte of the result depends on the
-order or the process in which the blocks were computed. One run at a time works on an atlas.
+An atlas is computed in blocks of whole rows of its last dimensions. Every block is written to a Zarr store
+`<name>.parts` next to the result, synced to disk, and then entered with its checksums in the store's journal. A killed
+job resumes with the blocks that are not in the journal or do not match it. When all blocks are there, the store becomes
+the result. A block is computed from its own poses alone, so no byte of the result depends on the order or the process
+in which the blocks were computed. Only one run at a time works on an atlas.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ _POLL = 0.01  # s
 _CLUSTER_LOGS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
 _SILENT = logging.CRITICAL + 1
 _SYNCS = 16
-_BETWEEN_ENTRIES = 0.5  # s: what a killed run computes twice at most
+_BETWEEN_ENTRIES = 0.5  # s: the most that a killed run has to compute again
 
 
 @dataclass(frozen=True)
 class Atlas:
-    """What to compute and where to put it.
+    """The definition of an atlas: what to compute and where to write it.
 
     Example:
         >>> from pathlib import Path
@@ -79,9 +79,9 @@ class Atlas:
         grid: the poses; its dimensions are those of the result.
         quantities: names of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`.
         path: result, `.nc` (NetCDF) or `.zarr`.
-        keep_beyond_limits: keep the values of poses that break a limit but can be reached.
-        precision: "single" or "double" on disk; computed in double, and 6 x 6 matrices are always double.
-        engine: what computes.
+        keep_beyond_limits: whether to keep values at poses that break a limit but can be reached.
+        precision: "single" or "double" on disk; computation is in double, and 6 x 6 matrices are always double.
+        engine: engine of the computation.
     """
 
     robot: Robot | ElasticModel
@@ -103,7 +103,7 @@ class Atlas:
             raise InvalidValueError("grid", "one pose", "at least one coordinate with a range")
         if self.path.suffix not in (".nc", ".zarr"):
             raise InvalidValueError("path", self.path, "a name ending in .nc or .zarr")
-        self.selected  # noqa: B018  a name that is not known is an error at once
+        self.selected  # noqa: B018  raises at once for an unknown name
 
     @cached_property
     def mapped(self) -> MappedRobot:
@@ -117,7 +117,7 @@ class Atlas:
 
     @property
     def parts(self) -> Path:
-        """The store that holds the finished blocks until all are there."""
+        """The store of finished blocks until the atlas is complete."""
         return self.store.parts
 
     @cached_property
@@ -136,7 +136,7 @@ class Atlas:
         return itertools.product(*starts)
 
     def slices(self, block: Block) -> tuple[slice, ...]:
-        """Return the place of a block in the atlas."""
+        """Return the slices of a block in the atlas."""
         sizes = zip(block, self.block_shape, self.grid.shape, strict=True)
         return tuple(slice(first, min(first + step, size)) for first, step, size in sizes)
 
@@ -158,7 +158,7 @@ class Atlas:
 
     @cached_property
     def attributes(self) -> dict[str, Any]:
-        """What the result says of itself; two atlases with the same attributes have the same numbers."""
+        """Attributes of the result; two atlases with the same attributes have the same numbers."""
         robot = self.mapped.robot
         specification = {
             "description": hashlib.sha256(self._description().encode()).hexdigest(),
@@ -207,7 +207,7 @@ def compute_atlas(
     scheduler: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Compute an atlas, or go on with one that was interrupted.
+    """Compute an atlas, or resume an interrupted one.
 
     Example:
         >>> from pathlib import Path
@@ -218,20 +218,20 @@ def compute_atlas(
         'hexapod.nc'
 
     Args:
-        atlas: what and where.
-        threads: the number of processors by default.
+        atlas: the definition of the atlas.
+        threads: number of threads; the number of processors by default.
         scheduler: address of a dask scheduler whose workers see the same file system; instead of threads.
-        progress: called with (poses done, poses in all) after every block.
+        progress: called with (poses done, total) after every block.
 
     Returns:
         The path of the result.
 
     Raises:
-        OutputError: the folder cannot be written, something else than an older atlas is in its place, there is no room
-            for it, the disk is full (what is finished is kept), or the unfinished store beside the result belongs to
-            another atlas.
+        OutputError: the folder cannot be written, the path is taken by something other than an older atlas, there is
+            not enough space, the disk is full (finished blocks are kept), or the unfinished store next to the result
+            belongs to another atlas.
         UnreachablePoseError: no pose of the grid is within the limits; nothing is written.
-        PM3DofError: a scheduler is named and dask is not installed or does not answer.
+        PM3DofError: a scheduler is given, but dask is not installed or does not answer.
     """
     require_kind("atlas", atlas, Atlas, "pm.Atlas")
     if threads is not None:
@@ -254,7 +254,7 @@ def _compute(
             raise UnreachablePoseError(f"no pose of the atlas over {', '.join(atlas.grid.dims)} is within every limit")
         return atlas.store.finish(map(atlas.slices, atlas.blocks()))
     except RuntimeError as error:
-        if "un-acquired lock" in str(error):  # Ctrl-C while a lock was being taken
+        if "un-acquired lock" in str(error):  # Ctrl-C while acquiring a lock
             raise KeyboardInterrupt from error
         raise
     except OSError as error:
@@ -272,7 +272,7 @@ def _enter(
     done: int,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Enter sealed blocks into the journal, a few at a time; on leaving, whatever happened, all of them."""
+    """Enter sealed blocks in the journal, a few at a time; on exit, even by an error, all of them."""
     waiting: list[tuple[Block, Checksums]] = []
     entered = time.monotonic()
     try:
@@ -308,7 +308,7 @@ def open_atlas(path: Path | str) -> xr.Dataset:
         path: an atlas, `.nc` or `.zarr`.
 
     Raises:
-        DescriptionError: there is none, or it cannot be read.
+        DescriptionError: there is no atlas, or it cannot be read.
     """
     import xarray as xr
 
@@ -338,7 +338,7 @@ def _compute_block(atlas: Atlas, block: Block) -> Block:
         else:
             values = np.full((size, *shape), np.nan, dtype=atlas.store.dtype(quantity.name))
             if chosen_indices.size:
-                with np.errstate(over="ignore"):  # beyond single precision a number is infinite
+                with np.errstate(over="ignore"):  # numbers beyond single precision become infinite
                     values[chosen_indices] = quantity.compute(evaluation)
         atlas.store.write(quantity.name, place, values.reshape(*poses.shape, *shape))
     atlas.store.write(BROKEN_LIMITS, place, poses.broken_limits)
@@ -346,9 +346,9 @@ def _compute_block(atlas: Atlas, block: Block) -> Block:
 
 
 def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Iterator[tuple[Block, Checksums]]:
-    """Run the blocks on threads (programs and writes leave the interpreter lock), a few ahead at a time.
+    """Run the blocks on threads (programs and writes release the interpreter lock), a few ahead at a time.
 
-    They are brought to the disk by threads of their own, which wait for the disk and not for a processor.
+    Separate threads sync them to disk, waiting for the disk and not for a processor.
     """
     count = threads or os.cpu_count() or 1
     computing: deque[Future[Block]] = deque()
@@ -366,7 +366,7 @@ def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Ite
             while sealing:
                 yield sealing.popleft().result()
         except (Exception, KeyboardInterrupt):
-            while sealing:  # blocks that are computed are not lost
+            while sealing:  # computed blocks are not lost
                 yield sealing.popleft().result()
             raise
         finally:
@@ -379,7 +379,7 @@ def _cluster(scheduler: str) -> Iterator[Client]:
         from distributed import Client
     except ImportError as error:
         raise PM3DofError("a dask scheduler needs the extra 'cluster': pip install 'pm3dof-pin[cluster]'") from error
-    # what they have to say of a scheduler that is gone is said in one line
+    # their messages about a lost scheduler are replaced by one line
     logs = [logging.getLogger(name) for name in _CLUSTER_LOGS]
     levels = [log.level for log in logs]
     for log in logs:
@@ -392,7 +392,7 @@ def _cluster(scheduler: str) -> Iterator[Client]:
         try:
             yield client
         finally:
-            with suppress(Exception):  # it may be gone
+            with suppress(Exception):  # it may be lost
                 client.close(timeout=1)  # type: ignore[no-untyped-call]
     finally:
         for log, level in zip(logs, levels, strict=True):
@@ -414,11 +414,11 @@ def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterato
             time.sleep(_POLL)
             if time.monotonic() - idle > _WORKER_PATIENCE:
                 if not cluster.scheduler_info()["workers"]:
-                    raise OSError("no worker is left on the dask cluster; start some")
+                    raise OSError("the dask cluster has no workers left; start some")
                 idle = time.monotonic()
     except (PM3DofError, OSError):
         raise
-    except Exception as error:  # of dask's own making: a scheduler that is gone, workers that die
+    except Exception as error:  # raised by dask: a lost scheduler, workers that die
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise OSError(f"the dask cluster failed ({reason})") from error
 

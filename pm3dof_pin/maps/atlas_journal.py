@@ -1,7 +1,7 @@
-"""Which blocks of an atlas are finished: a journal with a checksum of every file of every block.
+"""Journal of the finished blocks of an atlas, with a checksum of every file of every block.
 
-Lines are appended and brought to the disk after the blocks they are about. Each begins with its own checksum; a line
-that is torn or damaged is as good as none, and its blocks are computed again.
+Lines are appended and synced to disk after the blocks they describe. Each begins with its own checksum; a torn or
+damaged line is ignored, and its blocks are computed again.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ Block: TypeAlias = tuple[int, ...]
 """First index of a block along each dimension."""
 
 Checksums: TypeAlias = Mapping[str, int | None]
-"""CRC-32 of a block's file in each array, by the array's name; None where no file is, as all is the fill value."""
+"""CRC-32 of a block's file in each array, by the array's name; None without a file, if all is the fill value."""
 
 
 @dataclass(frozen=True)
 class Journal:
-    """The journal of one atlas; its first line is the specification that tells atlases apart."""
+    """The journal of one atlas; its first line is the specification that identifies the atlas."""
 
     path: Path
     specification: str
 
     def belongs(self) -> bool | None:
-        """Tell whether the journal is of this atlas; None if there is none or its first line cannot be read."""
+        """Tell whether the journal belongs to this atlas; None without a journal or with an unreadable first line."""
         first = next(iter(self._lines()), None)
         return None if first is None else first == self.specification
 
     def read(self) -> dict[Block, Checksums]:
-        """Return the finished blocks and their checksums; none if the journal is of another atlas."""
+        """Return the finished blocks and their checksums; none if the journal belongs to another atlas."""
         found: dict[Block, Checksums] = {}
         lines = self._lines()
         if not lines or lines[0] != self.specification:
@@ -45,7 +45,7 @@ class Journal:
         return found
 
     def write(self, blocks: Mapping[Block, Checksums]) -> None:
-        """Write the whole journal anew."""
+        """Rewrite the whole journal."""
         fresh = self.path.with_name(self.path.name + ".new")
         fresh.write_text(_line(self.specification) + (_line(list(blocks.items())) if blocks else ""))
         sync(fresh)
@@ -61,11 +61,11 @@ class Journal:
 
     @property
     def damaged(self) -> bool:
-        """Whether it is missing, or a line of it cannot be believed."""
+        """Whether the journal is missing, or has an invalid line."""
         return not self.path.is_file() or len(self._lines()) < len(self.path.read_bytes().splitlines())
 
     def _lines(self) -> list[Any]:
-        """Return what the sound lines say."""
+        """Return the contents of the valid lines."""
         try:
             lines = self.path.read_bytes().splitlines()
         except OSError:
@@ -74,7 +74,7 @@ class Journal:
 
 
 def sync(path: Path) -> None:
-    """Bring a file, or the names in a folder, to the disk."""
+    """Sync a file, or the names in a folder, to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -19,10 +19,10 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def exclusive_run(path: Path) -> Iterator[None]:
-    """Hold the lock of an atlas; it ends with the process, however that ends.
+    """Hold the lock of an atlas; it ends with the process, in whatever way.
 
-    The lock is the operating system's, on the file `.<name>.lock` beside the atlas, which says who holds it. A file
-    that nobody holds is what a killed run left, and is taken over.
+    The lock is the operating system's, on the file `.<name>.lock` next to the atlas, which says who holds it. A file
+    without a holder was left by a killed run, and is taken over.
 
     Raises:
         OutputError: another run holds the lock, or the folder cannot be written.
@@ -41,13 +41,13 @@ def exclusive_run(path: Path) -> Iterator[None]:
     finally:
         place.unlink(missing_ok=True)
         os.close(descriptor)
-        with suppress(OSError):  # a refusal leaves no empty folder
+        with suppress(OSError):  # leave no empty folder
             for folder in made:
                 folder.rmdir()
 
 
 def _acquire(place: Path) -> int:
-    """Lock the file, write into it who holds it and return its descriptor; BlockingIOError if another process does."""
+    """Lock the file, write its holder into it and return its descriptor; BlockingIOError if another process has it."""
     while True:
         descriptor = os.open(place, os.O_RDWR | os.O_CREAT, 0o666)
         try:
@@ -57,9 +57,9 @@ def _acquire(place: Path) -> int:
         except OSError:
             os.close(descriptor)
             raise
-        os.close(descriptor)  # who held it before has just removed the file
+        os.close(descriptor)  # the previous holder has just removed the file
     if os.fstat(descriptor).st_size:
-        _log.warning("%s was left by a run that did not end by itself, %s", place.name, _holder(place))
+        _log.warning("%s was left by a run that was killed, %s", place.name, _holder(place))
     os.ftruncate(descriptor, 0)
     holder = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.strftime("%Y-%m-%d %H:%M:%S")}
     os.write(descriptor, json.dumps(holder).encode())

@@ -1,11 +1,11 @@
-"""The arrays of an atlas on disk: a Zarr store that is filled block by block, and the NetCDF file made from it.
+"""The arrays of an atlas on disk: a Zarr store filled block by block, and the NetCDF file made from it.
 
 Blocks are written by Zarr itself. xarray's writing of regions (`to_zarr(region=...)`) gives the same files for 20 ms of
-CPU a block instead of 18 (16^3 poses, two 6 x 6 quantities), and knows no more of which blocks are finished.
+CPU per block instead of 18 (16^3 poses, two 6 x 6 quantities), and does not track finished blocks either.
 
-Nothing in the store is believed: when a job goes on, what it says of itself is compared with what it should say, and
-every finished block with the checksums in its journal. Chunks carry checksums of their own (CRC-32C), also in a
-result that is a Zarr store.
+Nothing in the store is trusted: when a job resumes, its metadata are compared with the expected ones, and every
+finished block with the checksums in the journal. Chunks also carry their own checksums (CRC-32C), even in a result that
+is a Zarr store.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class AtlasStore:
-    """The arrays of an atlas: first in a Zarr store `<name>.parts` beside the result, then in it, `.nc` or `.zarr`."""
+    """The arrays of an atlas: first in a Zarr store `<name>.parts` next to the result, then in it, `.nc` or `.zarr`."""
 
     path: Path
     coordinates: Mapping[str, tuple[Array, Mapping[str, Any]]]  #: values and attributes of the grid's dimensions
@@ -63,7 +63,7 @@ class AtlasStore:
 
     @property
     def parts(self) -> Path:
-        """The store that holds the finished blocks until all are there."""
+        """The store of finished blocks until the atlas is complete."""
         return self.path.with_name(self.path.name + ".parts")
 
     @property
@@ -73,22 +73,22 @@ class AtlasStore:
 
     @cached_property
     def journal(self) -> Journal:
-        """Which blocks are finished."""
+        """Journal of the finished blocks."""
         text = json.dumps(self.attributes, sort_keys=True, default=str)
         return Journal(self.parts / _JOURNAL, hashlib.sha256(text.encode()).hexdigest())
 
     def open(self) -> set[Block]:
-        """Make the store, or repair and continue the one that is there; return the finished blocks.
+        """Make the store, or repair and continue an existing one; return the finished blocks.
 
         Raises:
-            OutputError: the result cannot take its place, there is no room for it, or another atlas is unfinished.
+            OutputError: the place of the result is taken, there is not enough space, or another atlas is unfinished.
         """
         self._require_place()
         if not self.parts.is_dir():
             self.parts.unlink(missing_ok=True)
             self._require_room()
         elif not self._is_ours():
-            raise OutputError(self.path, f"{self.parts} is an unfinished atlas of other settings; remove it first")
+            raise OutputError(self.path, f"{self.parts} is an unfinished atlas with other settings; remove it first")
         skeleton = self.parts.with_name(self.parts.name + ".new")
         shutil.rmtree(skeleton, ignore_errors=True)
         self._make(skeleton)
@@ -101,7 +101,7 @@ class AtlasStore:
         return self._sound_blocks()
 
     def _is_ours(self) -> bool:
-        """Tell whether the unfinished store is of this atlas, or too damaged to be of any."""
+        """Tell whether the unfinished store belongs to this atlas, or is too damaged to tell."""
         belongs = self.journal.belongs()
         if belongs is not None:
             return belongs
@@ -112,7 +112,7 @@ class AtlasStore:
         return bool(stored == json.loads(json.dumps(self.attributes)))
 
     def _repair(self, skeleton: Path) -> None:
-        """Put everything but the blocks into the state of a new store, and take out what does not belong there."""
+        """Restore everything except the blocks to the state of a new store, and remove what does not belong there."""
         expected = {file.relative_to(skeleton) for file in skeleton.rglob("*") if file.is_file()}
         arrays = tuple(f"{variable.name}/c/" for variable in self.variables)
         for file in [*self.parts.rglob("*")]:
@@ -131,13 +131,13 @@ class AtlasStore:
                 (skeleton / name).replace(target)
         shutil.rmtree(skeleton)
         if repaired:
-            _log.warning("%s: %s damaged or missing, written again", self.parts, ", ".join(repaired))
+            _log.warning("%s: %s damaged or missing; rewritten", self.parts, ", ".join(repaired))
 
     def _sound_blocks(self) -> set[Block]:
-        """Return the blocks in the journal whose files are what they were; leave only them in the journal."""
+        """Return the blocks in the journal whose files are unchanged, and remove the others from the journal."""
         listed = self.journal.read()
         if self.journal.damaged:
-            _log.warning("%s is damaged or missing; blocks it does not list are computed again", self.journal.path)
+            _log.warning("%s is damaged or missing; blocks not listed in it are computed again", self.journal.path)
         with ThreadPoolExecutor() as pool:
             sound = list(pool.map(lambda entry: self._is_sound(*entry), listed.items()))
         kept = {block: sums for (block, sums), intact in zip(listed.items(), sound, strict=True) if intact}
@@ -165,14 +165,14 @@ class AtlasStore:
         return self.parts.joinpath(variable.name, "c", *numbers, *["0"] * len(variable.own_dims))
 
     def seal(self, block: Block) -> tuple[Block, Checksums]:
-        """Bring the files of a block that was written to the disk; return its entry for the journal."""
+        """Sync the files of a written block to disk; return its entry for the journal."""
         for variable in self.variables:
-            if self._chunk(variable, block).exists():  # not where everything is the fill value
+            if self._chunk(variable, block).exists():  # not if everything is the fill value
                 sync(self._chunk(variable, block))
         return block, self._checksums(block)
 
     def enter(self, sealed: Sequence[tuple[Block, Checksums]]) -> None:
-        """Enter sealed blocks into the journal; from then on they count as finished."""
+        """Enter sealed blocks in the journal; from then on they count as finished."""
         if not sealed:
             return
         chunks = (self._chunk(variable, block) for block, _ in sealed for variable in self.variables)
@@ -189,11 +189,11 @@ class AtlasStore:
     def write(self, name: str, place: Place, values: Any) -> None:
         """Write the values of one array at one block."""
         array = self._arrays[name]
-        with np.errstate(over="ignore"):  # beyond single precision a number is infinite
+        with np.errstate(over="ignore"):  # numbers beyond single precision become infinite
             array[place] = np.asarray(values).astype(array.dtype, copy=False)
 
     def read(self, name: str, place: Place) -> Any:
-        """Read the values of one array at one block; OSError where they are not what was written."""
+        """Read the values of one array at one block; OSError if they differ from what was written."""
         try:
             return self._arrays[name][place]
         except (ValueError, RuntimeError) as error:
@@ -214,7 +214,7 @@ class AtlasStore:
         shutil.rmtree(self.parts)
 
     def finish(self, blocks: Iterable[Place]) -> Path:
-        """Make the result of the finished blocks and return its path; OSError for a full disk or a damaged block."""
+        """Make the result from the finished blocks and return its path; OSError for a full disk or a damaged block."""
         if self.path.suffix == ".nc":
             try:
                 self._copy_to_netcdf(blocks)
@@ -230,22 +230,22 @@ class AtlasStore:
         return self.path
 
     def _require_place(self) -> None:
-        """Refuse a place that the result cannot take: only a file gives way to a file, and an atlas to an atlas."""
+        """Reject a place that the result cannot take: a file may only replace a file, and an atlas an atlas."""
         path = self.path
         if path.suffix == ".nc" and path.is_dir():
-            raise OutputError(path, "a folder is there, expected nothing or a file")
+            raise OutputError(path, "the path is a folder: expected nothing or a file")
         if path.suffix == ".zarr" and path.exists() and not (path / BROKEN_LIMITS / "zarr.json").is_file():
-            raise OutputError(path, "something else than an atlas is there, expected nothing or an older atlas")
+            raise OutputError(path, "the path is not an atlas: expected nothing or an older atlas")
 
     def _require_room(self) -> None:
-        """Refuse what the disk cannot hold: the blocks and, beside them, the NetCDF file that is made from them."""
+        """Reject an atlas that the disk cannot hold: the blocks and the NetCDF file made from them."""
         numbers = sum(math.prod(entry.own_dims.values()) * entry.dtype.itemsize for entry in self.variables)
         copies = 2 if self.path.suffix == ".nc" else 1
         needed = copies * math.prod(self.shape) * numbers
         folder = next(parent for parent in self.parts.resolve().parents if parent.exists())
         free = shutil.disk_usage(folder).free
         if needed > free:
-            reason = f"it takes up to {needed / 1e9:.4g} GB of disk to make, {free / 1e9:.4g} GB are free"
+            reason = f"it needs up to {needed / 1e9:.4g} GB of disk space, {free / 1e9:.4g} GB are free"
             raise OutputError(self.path, reason)
 
     def _make(self, path: Path) -> None:
@@ -272,7 +272,7 @@ class AtlasStore:
                 dtype=variable.dtype,
                 chunks=self.block_shape + own_shape,
                 fill_value=variable.fill_value,
-                # of those measured: 40 % of the time of zstd, 120 % of its bytes
+                # best of those measured: 40 % of the time of zstd, 120 % of its bytes
                 compressors=[BloscCodec(cname="lz4", clevel=9, shuffle="shuffle"), Crc32cCodec()],
                 dimension_names=[*self.coordinates, *variable.own_dims],
                 attributes={key: _plain(value) for key, value in variable.attributes.items()},
@@ -286,8 +286,8 @@ class AtlasStore:
             try:
                 with netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
                     self._fill(file, blocks)
-            except RuntimeError as error:  # what the NetCDF library makes of a full disk
-                raise OSError(f"{error} while the NetCDF file was put together: is the disk full?") from error
+            except RuntimeError as error:  # raised by the NetCDF library for a full disk
+                raise OSError(f"{error} while writing the NetCDF file: is the disk full?") from error
             sync(temporary)
 
     def _fill(self, file: Any, blocks: Iterable[Place]) -> None:

@@ -1,9 +1,9 @@
-"""The boundary of a set as faces with sharp edges and corners, from nothing but which points are inside.
+"""The boundary of a set as faces with sharp edges and corners, given only which points are inside.
 
 Dual contouring: T. Ju, F. Losasso, S. Schaefer and J. Warren, Dual contouring of Hermite data, SIGGRAPH 2002. Every
-edge of a grid that leaves the set has a face across it, and the face's corners lie in the cells around the edge, where
-the planes that touch the boundary near by meet. So a set may be of any shape, and where one limit takes over from
-another, faces end. In a plane the faces are the pieces of lines.
+edge of a grid that leaves the set has a face across it; the corners of the face lie in the cells around the edge,
+at the intersection of the nearby tangent planes of the boundary. So a set may have any shape, and faces end where one
+limit takes over from another. In a plane, the faces are line segments.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from numpy.typing import NDArray
 from pm3dof_pin.maps.limit_space import Flags
 from pm3dof_pin.typing import Array
 
-_HALVINGS = 16  # of an edge, until the boundary is found
-_ASIDE = 0.004  # cells from a crossing to where the boundary is met again, to learn its slope
-_STEEPEST = 30.0  # slope against an edge that is still measured
-_SMOOTH = 0.03  # curvature of the sum of squares, as a part of its greatest, below which planes do not meet
-_BEYOND = 0.5  # cells that a corner may lie outside its own, as tips do
+_HALVINGS = 16  # bisections of an edge to find the boundary
+_ASIDE = 0.004  # cells from a crossing to where the boundary is found again, to measure its slope
+_STEEPEST = 30.0  # greatest measured slope relative to an edge
+_SMOOTH = 0.03  # curvature of the sum of squares, relative to the greatest, below which planes do not intersect
+_BEYOND = 0.5  # cells that a corner may lie outside its own, as for tips
 
 
 @dataclass(frozen=True, eq=False)
 class BoundaryFaces:
-    """Faces of the boundary: pieces of lines in a plane, quadrilaterals in space."""
+    """Faces of the boundary: line segments in a plane, quadrilaterals in space."""
 
-    corners: Array  #: going round, shape=(n, 2, 2) or (n, 4, 3) [m, rad]
+    corners: Array  #: in order around the face, shape=(n, 2, 2) or (n, 4, 3) [m, rad]
     normals: Array  #: covectors across the boundary, outward, shape=(n, 2) or (n, 3) [1/m, 1/rad]
-    limits: Flags  #: sums of the limits that are broken behind each, shape=(n,)
+    limits: Flags  #: sums of the limits broken behind each face, shape=(n,)
 
 
 def boundary_faces(broken_limits: Callable[[Array], Flags], ranges: Array, cells: int) -> BoundaryFaces:
     """Find the boundary of the points that break no limit.
 
     Args:
-        broken_limits: from points, shape=(..., d), to the sums of the limits that they break, shape=(...).
-        ranges: a box around the set, which is closed there, shape=(d, 2) with d = 2 or 3 [m, rad].
+        broken_limits: function from points, shape=(..., d), to the sums of the limits that they break, shape=(...).
+        ranges: a box around the set, which is closed at its sides, shape=(d, 2) with d = 2 or 3 [m, rad].
         cells: cells of the grid along each side of the box, and of the layer around it.
     """
     d = len(ranges)
@@ -80,7 +80,7 @@ def boundary_faces(broken_limits: Callable[[Array], Flags], ranges: Array, cells
     found, corner = np.unique(np.ravel_multi_index(np.moveaxis(around, -1, 0), (cells,) * d), return_inverse=True)
     corner = corner.reshape(around.shape[:2])
     places = _meeting_points(corner, points, normals, np.stack(np.unravel_index(found, (cells,) * d), axis=-1))
-    turned = leaves == ((d == 2) & (axis == 0))  # of these cells the ring goes round the other way
+    turned = leaves == ((d == 2) & (axis == 0))  # for these cells the ring is reversed
     corner[turned] = corner[turned][:, ::-1]
     return BoundaryFaces(ranges[:, 0] + step * (places[corner] - 1.0), normals / step, flags(beyond))
 

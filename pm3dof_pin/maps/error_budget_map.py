@@ -52,12 +52,13 @@ def budget_map(
     eta: float = TIP_LENGTH,
     names: Sequence[str] = (),
 ) -> tuple[xr.Dataset, ErrorBudget]:
-    """Compute the errors of all sources, or those named, over a grid of the robot's coordinates, of any dimension.
+    """Compute the errors of all or the named sources over a grid of the robot's coordinates, of any dimension.
 
-    Or at poses, the dataset then along one dimension, `pose`. Returns it, NaN where a pose of the grid breaks a limit:
-    `tip_rms`, `worst_tip`, `left_rms` and `energy` of all sources together, `tip_rms_<source>` of each alone,
-    `least_sensitive` (the best fifth of the poses) and, of a grid, `broken_limits`; and the budget over the poses
-    within the limits. `eta` weighs the orientation in the tip error [m/rad].
+    Poses instead of a grid give a dataset along one dimension, `pose`. The dataset is NaN where a pose of the grid
+    breaks a limit; it has `tip_rms`, `worst_tip`, `left_rms` and `energy` of all sources combined,
+    `tip_rms_<source>` of each source, `least_sensitive` (the best fifth of the poses) and, for a grid,
+    `broken_limits`. Also returns the budget over the poses within the limits. `eta` weighs the orientation in the tip
+    error [m/rad].
 
     Raises:
         UnreachablePoseError: no pose of the grid is within the limits.
@@ -96,7 +97,7 @@ def _fields(budget: ErrorBudget) -> dict[str, Variable]:
         name: ((), getattr(budget, name), {"units": "m", "long_name": text}) for name, text in words.items()
     }
     for source in budget.sources:
-        words = {"long_name": f"tip error by {source.long_name}", "error_class": source.error_class}
+        words = {"long_name": f"tip error due to {source.long_name}", "error_class": source.error_class}
         found[f"tip_rms_{source.name}"] = ((), budget.select([source.name]).tip_rms, {"units": "m", **words})
     region = budget.least_sensitive().astype(float)
     found[LEAST_SENSITIVE] = ((), region, {"units": "1", "long_name": "region least sensitive to all sources"})

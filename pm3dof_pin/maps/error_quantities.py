@@ -1,7 +1,7 @@
-"""Errors of the tool as quantities of maps: of the geometry, of temperature, and of every source apart and together.
+"""Tool errors as map quantities: from geometry, from temperature, and from all sources, separate and combined.
 
-Those of geometry are reduced inside a compiled program, those of temperature come from the sensitivities of one; weight
-and vibration take milliseconds a pose.
+Those from geometry are reduced inside a compiled program, those from temperature come from the sensitivities of one;
+weight and vibration take milliseconds per pose.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.maps.quantities import Dimension, Evaluation, MappedRobot, has_drives_and_tool, quantity
 from pm3dof_pin.typing import Array
 
-_CHUNK = 8192  # poses at a time: a pose has some hundred numbers of effects
+_CHUNK = 8192  # poses at a time: each has a few hundred numbers of effects
 
 _sources: WeakKeyDictionary[MappedRobot, ErrorSources] = WeakKeyDictionary()
 
 
 def _sources_of(mapped: MappedRobot) -> ErrorSources:
-    """Return the sources of a robot with the numbers of its error file, made once."""
+    """Return the sources of a robot with the magnitudes of its error file, cached."""
     if mapped not in _sources:
         robot = mapped.robot
         declared = GeometricErrors(robot) if robot.files is None else GeometricErrors.of(robot, robot.files.errors)
@@ -39,7 +39,7 @@ def _sources_of(mapped: MappedRobot) -> ErrorSources:
 
 
 def _source_names(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the names of the sources, and of all together."""
+    """Return the names of the sources, and of their combination."""
     sources = _sources_of(mapped)
     return (
         *(source.name for source in sources.at(reachable_poses(sources.robot, 1, np.random.default_rng(0)))),
@@ -51,7 +51,7 @@ _Reading = Callable[[ErrorBudget], Array]
 
 
 def _over(evaluation: Evaluation, classes: tuple[str, ...], read: _Reading, shape: tuple[int, ...] = ()) -> Array:
-    """Read numbers off the budgets of some classes of sources at all poses, NaN where there are none."""
+    """Read numbers from the budgets of some source classes at all poses, NaN where there are none."""
     poses, sources = evaluation.poses, _sources_of(evaluation.mapped)
     values = np.full((int(np.prod(poses.shape)), *shape), np.nan)
     flat = poses.reshape(len(values))
@@ -74,21 +74,23 @@ def _read(
 
 
 def _kinematic(evaluation: Evaluation, name: KinematicSum) -> Array:
-    """Return a sum over errors of the geometry."""
+    """Return a sum over geometric errors."""
     return kinematic_sum(_sources_of(evaluation.mapped), evaluation.poses, name, **evaluation.batch).values
 
 
 _SUMS: dict[str, tuple[KinematicSum, str]] = {
-    "geometric_error": ("tip_rms", "tip error by geometry, root mean square over machines"),
-    "geometric_error_bound": ("worst_tip", "bound of the tip error by geometry"),
-    "geometric_error_left": ("left_rms", "tip error by geometry that no command can undo, root mean square"),
-    "geometric_error_energy": ("energy", "energy E of (8.15) of the pose error by geometry, mean"),
+    "geometric_error": ("tip_rms", "tip error due to geometry, root mean square over machines"),
+    "geometric_error_bound": ("worst_tip", "bound of the tip error due to geometry"),
+    "geometric_error_left": ("left_rms", "tip error due to geometry that no command can undo, root mean square"),
+    "geometric_error_energy": ("energy", "energy E of (8.15) of the pose error due to geometry, mean"),
 }
 for _name, (_sum, _long_name) in _SUMS.items():
     quantity(_name, unit="m", long_name=_long_name, exists=has_drives_and_tool)(partial(_kinematic, name=_sum))
 
 
-@quantity("thermal_error", unit="m", long_name="tip error by temperature, root mean square", exists=has_drives_and_tool)
+@quantity(
+    "thermal_error", unit="m", long_name="tip error due to temperature, root mean square", exists=has_drives_and_tool
+)
 def _thermal_error(evaluation: Evaluation) -> Array:
     return _over(evaluation, ("thermal",), attrgetter("tip_rms"))
 
@@ -97,7 +99,7 @@ def _thermal_error(evaluation: Evaluation) -> Array:
     "error_budget",
     dims=(Dimension("error_source", _source_names),),
     unit="m",
-    long_name="tip error by each source, and by all together, root mean square",
+    long_name="tip error due to each source and to all combined, root mean square",
     exists=has_drives_and_tool,
 )
 def _error_budget(evaluation: Evaluation) -> Array:

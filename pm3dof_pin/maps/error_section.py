@@ -1,4 +1,4 @@
-"""Errors of the tool over a grid of any robot's coordinates, as a labelled dataset."""
+"""Tool errors over a grid of any robot's coordinates, as a labelled dataset."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def error_section(
 ) -> tuple[xr.Dataset, ErrorMap]:
     """Compute the first-order errors of the tool over a grid of the robot's coordinates.
 
-    Returns the variables of :data:`QUANTITIES` over the grid, NaN where a pose breaks a limit, and `broken_limits`; and
-    the error map over the poses within the limits. `eta` weighs the orientation in the tip error [m/rad].
+    Returns the variables of :data:`QUANTITIES` over the grid, NaN where a pose breaks a limit, with `broken_limits`;
+    and the error map over the poses within the limits. `eta` weighs the orientation in the tip error [m/rad].
 
     Raises:
         UnreachablePoseError: no pose of the grid is within the limits.
         InvalidValueError: the loops cannot close with an error.
-        SingularConfigurationError: at a pose the tool can move while all drives stand still.
+        SingularConfigurationError: at some pose the tool can move with all drives locked.
     """
     robot = errors.robot
     poses, within = poses_within_limits(robot, grid, engine)
@@ -69,9 +69,9 @@ def errors_over(
     eta: float = TIP_LENGTH,
     distribution: Distribution = "normal",
 ) -> Callable[[Array], Array]:
-    """Return one of :data:`QUANTITIES` at points of a grid's coordinates, shape=(n, m) to (n,), between its poses.
+    """Return one of :data:`QUANTITIES` as a function of points in a grid's coordinates, shape=(n, m) to (n,).
 
-    For the arguments see :func:`error_section`; NaN beyond the limits.
+    For the arguments see :func:`error_section`. NaN beyond the limits.
     """
     complete = coordinates_over(errors.robot, grid.dims, grid.fixed)
 

@@ -1,6 +1,6 @@
-"""The extremes of both coordinates in a section or in a stack of sections, found between the rays that sampled them.
+"""Extremes of both coordinates in a section or a stack of sections, refined between the sampled rays.
 
-Extremes often are corners, where two limits bind, so that the best ray may end a good part of a degree short of them.
+Extremes are often corners where two limits bind, so the best ray may miss them by a good part of a degree.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from pm3dof_pin.maps.limit_space import LimitSpace
 from pm3dof_pin.maps.rays import brackets, closed_in
 from pm3dof_pin.typing import Array, Mask
 
-# What the four extremes of a set are greatest in: minus and plus the first coordinate, then the second.
+# Directions of the four extremes of a set: minus and plus the first coordinate, then the second.
 _OUTWARD = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
 _MOST_ROUNDS = 60
-_SMALLEST = 6e-5  # size of the window, against the first one, at which an extreme counts as found
+_SMALLEST = 6e-5  # size of the window, relative to the first one, at which an extreme counts as found
 
 
 def extremes_of(
     space: LimitSpace, boundaries: Sequence[Array], half_width: float, half_level: float = 0.0
 ) -> tuple[Array, Array]:
-    """Find the extremes of sets near boundary points of theirs, (radius, azimuth, level), shape=(m, 3) each.
+    """Find the extremes of sets near given boundary points, (radius, azimuth, level), shape=(m, 3) each.
 
-    Around each extreme rays are tried in a window of half a width [rad] and, of a stack of sections, half a level. A
-    corner wanders over the azimuth as the level grows, by about 1 deg for 1 mm of height on the chapter's machine: the
-    half width has to be enough to follow it.
+    Around each extreme, rays are tried in a window of half a width [rad] and, for a stack of sections, half a level. A
+    corner shifts in azimuth as the level increases, by about 1 deg for 1 mm of height on the chapter's machine: the
+    half width must be large enough to follow it.
 
-    Returns least and greatest first, then second coordinate of each set, shape=(n, 2, 2) [m, rad], and their levels.
+    Returns the least and greatest first and second coordinates of each set, shape=(n, 2, 2) [m, rad], and their levels.
     """
     found = _refined(space, np.stack([_sampled(points) for points in boundaries]), _window(half_width, half_level))
     points = space.points(found[..., 0], found[..., 1])
@@ -51,16 +51,16 @@ def _window(half_width: float, half_level: float) -> Array:
 
 
 def _refined(space: LimitSpace, starts: Array, window: Array) -> Array:
-    """Move extreme boundary points, shape=(n, 4, 3), to where they are extreme between the rays and the levels.
+    """Move extreme boundary points, shape=(n, 4, 3), to the true extremes between the rays and the levels.
 
-    The window around each moves to the best of its rays, and shrinks when that one is not at its edge.
+    The window around each moves to its best ray, and shrinks when that ray is not at its edge.
     """
     outward = np.tile(_OUTWARD, (len(starts), 1))
     extremes, size = starts.reshape(-1, 3).copy(), np.ones(len(outward))
     value = np.sum(outward * _directions(extremes[:, 0], extremes[:, 1]), axis=1)
     greatest = window.max(axis=0)
     at_edge = np.any((np.abs(window) == greatest) & (greatest > 0.0), axis=1)
-    shrinking = 1.0 / 3.0 if greatest[1] == 0.0 else 0.5  # slower where the corner has to be followed over the level
+    shrinking = 1.0 / 3.0 if greatest[1] == 0.0 else 0.5  # slower if the corner must be followed over levels
     for _ in range(_MOST_ROUNDS):
         if size.max() < _SMALLEST:
             break
@@ -77,7 +77,7 @@ def _refined(space: LimitSpace, starts: Array, window: Array) -> Array:
 
 
 def _outermost_radii(space: LimitSpace, outward: Array, rays: Array, radii: Array) -> Array:
-    """Radius at which the best ray of each crosses the boundary near its start radius, shape=(m, k); else NaN."""
+    """Radius at which each best ray crosses the boundary near its start radius, shape=(m, k); else NaN."""
     count = rays.shape[1]
     samples = np.repeat(radii[:, None] + space.ray_step * np.arange(-3.0, 4.0), count, axis=0)
     azimuths, levels = rays.reshape(-1, 2).T

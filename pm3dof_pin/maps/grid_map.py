@@ -61,11 +61,11 @@ def quantity_map(
 def quantities_over(
     mapped: MappedRobot, grid: Grid, quantities: Iterable[str], *, engine: Engine = "program"
 ) -> Callable[[Array], dict[str, Array]]:
-    """Return quantities at points of a grid's coordinates, shape=(n, m), between its poses; NaN beyond the limits."""
+    """Return quantities as a function of points in a grid's coordinates, shape=(n, m); NaN beyond the limits."""
     selected = select_quantities(quantities, mapped)
     complete = coordinates_over(mapped.robot, grid.dims, grid.fixed)
 
-    @lru_cache(maxsize=1)  # the pictures of one map have the same points
+    @lru_cache(maxsize=1)  # the pictures of one map share their points
     def at(data: bytes) -> dict[str, Array]:
         points = np.frombuffer(data).reshape(-1, len(grid.dims))
         poses = mapped.robot.solve(complete(points), on_failure="nan", engine=engine)
@@ -76,7 +76,7 @@ def quantities_over(
 
 
 def spread(values: Array, within: Mask) -> Array:
-    """Put values of the poses within the limits in their places, NaN elsewhere."""
+    """Scatter values of the poses within the limits to their places, NaN elsewhere."""
     field = np.full((*within.shape, *values.shape[1:]), np.nan)
     field[within] = values
     return field
@@ -99,7 +99,7 @@ def poses_within_limits(robot: Robot, grid: Grid, engine: Engine = "program") ->
 def grid_dataset(grid: Grid, poses: Poses, variables: Mapping[str, Variable], title: str) -> xr.Dataset:
     """Return variables over a grid as a dataset, NaN beyond the limits, with `broken_limits` of its poses.
 
-    Coordinates have their units; those that stand still are scalars.
+    Coordinates have their units; fixed ones are scalars.
     """
     import xarray as xr
 

@@ -1,4 +1,4 @@
-"""What maps say of themselves: attributes of datasets, coordinates and limits (CF conventions); units of entries."""
+"""Metadata of maps: attributes of datasets, coordinates and limits (CF conventions); units of entries."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def coordinate_attributes(name: str, unit: str, machine: str) -> dict[str, str]:
 
 
 def limit_names(robot: Robot) -> tuple[str, ...]:
-    """Return what the bits of :attr:`~pm3dof_pin.kinematics.poses.Poses.broken_limits` are called, in their order."""
+    """Return the names of the bits of :attr:`~pm3dof_pin.kinematics.poses.Poses.broken_limits`, in order."""
     return ("reach", *(group.name for group in robot.limit_groups))
 
 
@@ -36,7 +36,7 @@ def flag_type(names: tuple[str, ...]) -> np.dtype[Any]:
 
 
 def flag_attributes(names: tuple[str, ...], long_name: str) -> dict[str, object]:
-    """Return the attributes of a variable that holds sums of flags, named from the lowest bit on."""
+    """Return the attributes of a variable that holds sums of flags, named from the lowest bit."""
     return {
         "long_name": long_name,
         "flag_masks": np.array([1 << bit for bit in range(len(names))], dtype=flag_type(names)),
@@ -46,7 +46,7 @@ def flag_attributes(names: tuple[str, ...], long_name: str) -> dict[str, object]
 
 
 def unit_of_entry(units: str, entry: str) -> str:
-    """Return an entry's unit out of "N/m (x, y, z), N m/rad (rx, ry, rz)"; a unit of all entries stays as it is."""
+    """Return an entry's unit from "N/m (x, y, z), N m/rad (rx, ry, rz)"; a common unit stays as it is."""
     for part in units.split("), "):
         unit, _, entries = part.rstrip(")").partition(" (")
         if entry in entries.split(", "):

@@ -1,4 +1,4 @@
-"""Two or three coordinates of a machine and the limits over them: what the reachable set is searched in."""
+"""Two or three coordinates of a machine and the limits over them, in which the reachable set is searched."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 Flags: TypeAlias = NDArray[np.uint32]
 
-_SAMPLES = 24  # along a ray from the middle of a coordinate's range to its end
-_OUTSIDE = 1.5  # half ranges that a ray goes at least
-_FARTHEST = 12.0  # and at most
+_SAMPLES = 24  # samples along a ray from the middle of a coordinate's range to its end
+_OUTSIDE = 1.5  # least length of a ray, in half ranges
+_FARTHEST = 12.0  # greatest length
 _DIRECTIONS = 24
 _LEVELS = 9
 _PLANE = 2
@@ -32,24 +32,24 @@ _BATCH = 200_000  # poses at a time
 class LimitSpace:
     """Coordinates and the limits over them.
 
-    Sections lie over the first two coordinates and are stacked along the third, if there is one. A ray of a section
-    leaves its centre: its radius r and azimuth phi stand for centre + r scale (cos phi, sin phi).
+    Sections are over the first two coordinates and stacked along the third, if there is one. A ray of a section starts
+    at its centre: radius r and azimuth phi mean centre + r scale (cos phi, sin phi).
     """
 
     machine: str  #: name of the machine
-    names: tuple[str, ...]  #: of the coordinates, two or three
+    names: tuple[str, ...]  #: names of the coordinates, two or three
     units: tuple[str, ...]  #: "m" or "rad" of each
-    limits: tuple[str, ...]  #: names of the limits, from the lowest bit on
-    #: from values of the coordinates, shape=(..., number of coordinates) [m, rad], to the sums of the limits they
-    #: break, shape=(...); zero within all
+    limits: tuple[str, ...]  #: names of the limits, from the lowest bit
+    #: function from values of the coordinates, shape=(..., number of coordinates) [m, rad], to the sums of the limits
+    #: they break, shape=(...); zero within all
     broken_limits: Callable[[Array], Flags]
-    centre: Array  #: where the rays of the sections start, shape=(2,) [m, rad]
-    scale: Array  #: what radius 1 is along each coordinate, shape=(2,) [m, rad]
+    centre: Array  #: start of the rays in a section, shape=(2,) [m, rad]
+    scale: Array  #: length of radius 1 along each coordinate, shape=(2,) [m, rad]
     reach: float  #: radius beyond which no pose is within the limits
-    ray_step: float  #: distance of radii at which the limits are checked
-    #: ends between which the third coordinate is searched; zero if there are two [m, rad]
+    ray_step: float  #: step of radii at which the limits are checked
+    #: range in which the third coordinate is searched; zeros if there are only two [m, rad]
     level_range: tuple[float, float]
-    level_step: float  #: distance of levels at which the limits are checked [m, rad]
+    level_step: float  #: step of levels at which the limits are checked [m, rad]
 
     @property
     def stacked(self) -> bool:
@@ -69,7 +69,7 @@ class LimitSpace:
         return self.broken_limits(np.concatenate([points, third[..., None]], axis=-1))
 
     def limit_shares(self, limits: Flags) -> dict[str, float]:
-        """Return the share of each limit in sums of limits, shape=(m,); where several bind, each counts in part."""
+        """Return the share of each limit in sums of limits, shape=(m,); if several bind, each counts in part."""
         bits = np.stack([(limits & (1 << bit)) != 0 for bit in range(len(self.limits))], axis=-1)
         parts = bits / np.maximum(bits.sum(axis=-1, keepdims=True), 1)
         return dict(zip(self.limits, (parts.sum(axis=0) / max(len(limits), 1)).tolist(), strict=True))
@@ -87,9 +87,9 @@ def robot_space(
     *,
     engine: Engine = "program",
 ) -> LimitSpace:
-    """Return two or three coordinates of a robot with its limits over them; declared ranges are not among these.
+    """Return two or three coordinates of a robot with the limits over them, not counting declared ranges.
 
-    By default the first coordinates, with those of one unit in the sections; others are at home unless fixed [m, rad].
+    By default the first ones, with those of equal units in the sections; others are at home unless fixed [m, rad].
 
     Raises:
         InvalidValueError: an unknown coordinate, or fewer than two or more than three.
@@ -171,7 +171,7 @@ def _default_names(robot: Robot) -> tuple[str, ...]:
 
 
 def _wide_enough(space: LimitSpace, level: float, half_level: float) -> LimitSpace:
-    """Widen a space until nothing is within the limits around it."""
+    """Widen a space until no pose around it is within the limits."""
     azimuths = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     radii, up = np.array([0.0, 0.25, 0.5, 0.75, 1.0]), np.array([-1.0, 1.0])
     while space.reach < _FARTHEST:

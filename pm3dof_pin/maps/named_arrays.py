@@ -1,6 +1,6 @@
-"""Arrays with named dimensions, units and coordinates: what a dataset of xarray holds, without loading xarray.
+"""Arrays with named dimensions, units and coordinates, like an xarray dataset without loading xarray.
 
-That takes longer than a whole map of the chapter, with dask installed twice as long.
+Loading xarray takes longer than a whole map of the chapter; with dask installed, twice as long.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class NamedArray(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class NamedArrays:
-    """A map; its fields are called as those of an `xarray.Dataset`."""
+    """A map, with the fields of an `xarray.Dataset`."""
 
     data_vars: Mapping[Any, NamedArray]
     coords: Mapping[Any, NamedArray]
@@ -37,7 +37,7 @@ class NamedArrays:
         return {**self.coords, **self.data_vars}
 
     def dataset(self) -> xr.Dataset:
-        """Return the same as a dataset."""
+        """Return the map as a dataset."""
         import xarray as xr
 
         return xr.Dataset(self.data_vars, self.coords, self.attrs)

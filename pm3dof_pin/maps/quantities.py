@@ -1,7 +1,7 @@
-"""What can be mapped over the poses of a robot: named quantities with their dimensions and units.
+"""Quantities that can be mapped over the poses of a robot, with names, dimensions and units.
 
-A new quantity is a function of an :class:`Evaluation` with :func:`quantity` over it. Rooms above add their own in the
-same way, and say for which robots they exist.
+A new quantity is a function of an :class:`Evaluation`, decorated with :func:`quantity`. Higher rooms add their own in
+the same way, and say for which robots they exist.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _MODES = 6
 
 
 class MappedRobot:
-    """A robot, or an elastic model, whose quantities are mapped; its springs are read when a quantity asks for them."""
+    """A robot, or an elastic model, whose quantities are mapped; its springs are read when a quantity needs them."""
 
     def __init__(self, robot: Robot | ElasticModel) -> None:
         self.robot = robot.rigid if isinstance(robot, ElasticModel) else robot
@@ -56,14 +56,14 @@ class MappedRobot:
 
     @cached_property
     def elastic(self) -> ElasticModel:
-        """The robot with its springs; DescriptionError where the description has none."""
+        """The robot with its springs; DescriptionError if the description has none."""
         return self._given if isinstance(self._given, ElasticModel) else ElasticModel(self._given)
 
     @cached_property
     def free_motions(self) -> FreeMotionStiffness | None:
-        """The motions that the robot is free to make; None where they are not independent or not elastic.
+        """The free motions of the robot; None if they are not independent or not elastic.
 
-        Those at home; if home is singular, those at most of the closed configurations near it.
+        Evaluated at home; if home is singular, at most of the closed configurations near it.
         """
         found = [motions for q in self.usual_poses.q if (motions := self._free_motions_at(q)) is not None]
         names = Counter(motions.names for motions in found).most_common(1)
@@ -80,7 +80,7 @@ class MappedRobot:
 
     @cached_property
     def usual_mobility(self) -> Mobility:
-        """The degrees of freedom at a generic configuration near home, which singular ones are judged against."""
+        """The degrees of freedom at a generic configuration near home, as a reference for singular ones."""
         return instantaneous_mobility(generic_configuration(self.robot.home))
 
     @cached_property
@@ -97,7 +97,7 @@ class MappedRobot:
 
 
 class Evaluation:
-    """A robot at a batch of poses (unsolved ones give NaN); what several quantities need is computed once."""
+    """A robot at a batch of poses (unsolved ones give NaN); shared results are computed once."""
 
     def __init__(
         self, mapped: MappedRobot, poses: Poses, *, engine: Engine = "program", threads: int | None = None
@@ -116,7 +116,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Dimension:
-    """A named dimension of a quantity beside those of the poses, its labels a function of the robot."""
+    """A named dimension of a quantity, in addition to those of the poses, with labels depending on the robot."""
 
     name: str
     labels: Callable[[MappedRobot], tuple[str, ...]]
@@ -131,9 +131,9 @@ class Quantity:
 
     name: str  #: its name
     compute: Callable[[Evaluation], Array]  #: from an evaluation to an array, shape=(..., *own dimensions)
-    unit: Unit  #: its unit; where the entries differ, the units followed by their entries in brackets
-    long_name: str  #: what it is, for a person
-    dims: tuple[Dimension, ...]  #: its own dimensions beside those of the poses
+    unit: Unit  #: its unit; if the entries differ, each unit followed by its entries in brackets
+    long_name: str  #: its description
+    dims: tuple[Dimension, ...]  #: its own dimensions, after those of the poses
     exists: Callable[[MappedRobot], bool]  #: whether a robot has it
 
     def unit_for(self, mapped: MappedRobot) -> str:
@@ -156,7 +156,7 @@ def quantity(
     dims: tuple[Dimension, ...] = (),
     exists: Callable[[MappedRobot], bool] = lambda mapped: True,
 ) -> Callable[[Callable[[Evaluation], Array]], Callable[[Evaluation], Array]]:
-    """Make a function of an :class:`Evaluation` a quantity by one or several names; see :class:`Quantity`."""
+    """Register a function of an :class:`Evaluation` as a quantity with one or more names; see :class:`Quantity`."""
 
     def register(compute: Callable[[Evaluation], Array]) -> Callable[[Evaluation], Array]:
         for name in names:
@@ -181,7 +181,7 @@ def select_quantities(names: Iterable[str], mapped: MappedRobot | None = None) -
 
 
 def has_drives_and_tool(mapped: MappedRobot) -> bool:
-    """Tell whether there is something that moves the tool."""
+    """Tell whether the robot has drives and a tool."""
     return mapped.robot.tool_frame is not None and bool(mapped.robot.actuated_joints)
 
 
@@ -197,7 +197,7 @@ def _force_unit(mapped: MappedRobot) -> str:
 
 
 def _listed_units(entries: Iterable[tuple[str, str]]) -> str:
-    """Return units; where they differ, followed by the names that have them."""
+    """Return units; if they differ, each followed by the names that have it."""
     by_unit: dict[str, list[str]] = {}
     for unit, name in entries:
         by_unit.setdefault(unit, []).append(name)
@@ -219,7 +219,7 @@ DRIVE = Dimension("drive", lambda mapped: mapped.robot.actuated_joints)
 
 
 def _part_of(source: ElasticQuantity, part: Any = np.s_[...]) -> Callable[[Evaluation], Array]:
-    """Return a quantity that is a part of one of the elastic behaviour."""
+    """Return a quantity that is a part of an elastic quantity."""
     return lambda evaluation: evaluation.elastic(source)[part]
 
 
@@ -278,14 +278,14 @@ quantity(
     "holding_forces",
     dims=(DRIVE,),
     unit=_force_unit,
-    long_name="forces of the drives that hold the weights",
+    long_name="drive forces that hold the weight",
     exists=has_drives_and_tool,
 )(lambda evaluation: actuator_forces(evaluation.mapped.robot, evaluation.poses, **evaluation.batch))
 quantity(
     "drive_inertia",
     dims=(DRIVE, Dimension("drive_2", DRIVE.labels)),
     unit="kg, kg m, kg m^2",
-    long_name="mass matrix that the drives feel",
+    long_name="mass matrix as seen by the drives",
     exists=has_drives_and_tool,
 )(lambda evaluation: drive_mass_matrices(evaluation.mapped.robot, evaluation.poses, **evaluation.batch))
 
@@ -302,19 +302,19 @@ def _singularity_distance(evaluation: Evaluation) -> Array:
     return singularity_measures(mapped.robot, evaluation.poses, mapped.usual_mobility, **evaluation.batch)
 
 
-quantity("commands", dims=(COMMAND,), unit=_command_unit, long_name="what the counters of the drives show")(
+quantity("commands", dims=(COMMAND,), unit=_command_unit, long_name="readings of the drives' counters")(
     lambda evaluation: evaluation.poses.commands
 )
 
 
 def _free_motion_names(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the names of the motions that the robot is free to make."""
+    """Return the names of the robot's free motions."""
     motions = mapped.free_motions
     return () if motions is None else motions.names
 
 
 def _free_motion_unit(mapped: MappedRobot) -> str:
-    """Return the units of the stiffnesses of the free motions, of the diagonal in brackets."""
+    """Return the units of the free motions' stiffnesses, with the diagonal entries in brackets."""
     motions = mapped.free_motions
     if motions is None:
         return "1"

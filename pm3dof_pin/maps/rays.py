@@ -1,9 +1,8 @@
-"""Rays in sections of the reachable set, and where they cross its boundary.
+"""Rays in sections of the reachable set, and their crossings with its boundary.
 
 A ray leaves the centre of a section in the direction of one azimuth, see
-:class:`~pm3dof_pin.maps.limit_space.LimitSpace`. Poses out of reach take a solver longest to decide about. So a grid of
-poses is checked on a coarse part of it first, and from there on only as far as the reachable set goes and one step
-beyond.
+:class:`~pm3dof_pin.maps.limit_space.LimitSpace`. Solvers take longest for poses out of reach. So a grid of poses is
+first checked at coarse points, and from there only as far as the reachable set and one step beyond.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ from pm3dof_pin.arrays import with_neighbours
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace
 from pm3dof_pin.typing import Array, Mask
 
-BOUNDARY_TOLERANCE = 1e-10  # how near to the boundary a crossing is found, as a radius
+BOUNDARY_TOLERANCE = 1e-10  # distance in radius from the boundary at which a crossing is accepted
 
 
 class _Crossings(NamedTuple):
     """Crossings of rays with the boundary, ordered by ray and, on a ray, by radius; each field has shape=(m,)."""
 
     rays: NDArray[np.intp]
-    radii: Array  #: of the ends within the limits
+    radii: Array  #: radii of the points just within the limits
     leaving: NDArray[np.bool_]  #: whether the ray leaves the reachable set there or enters it
     limits: Flags  #: sums of the limits broken just across the boundary
 
@@ -41,9 +40,9 @@ class _Brackets(NamedTuple):
 Index: TypeAlias = tuple[NDArray[np.intp], ...]
 
 Contenders: TypeAlias = Callable[[NDArray[np.intp], Array, Array], Mask]
-"""From rays, inner and outer radii to which crossings are still of interest."""
+"""Function from rays, inner and outer radii to a mask of the crossings still of interest."""
 
-_COARSE = 3  # of a grid, every third point along each dimension is checked first
+_COARSE = 3  # every third point along each dimension of a grid is checked first
 
 
 def explored(
@@ -53,11 +52,11 @@ def explored(
     first: int = 0,
     ring: bool = False,
 ) -> Mask:
-    """Tell which points of a grid are within the limits, by checking few of those that are not.
+    """Tell which points of a grid are within the limits, checking few of the others.
 
-    Every third point along each dimension is checked (from `first` on along the last two), then the neighbours of what
-    is found within, until there are no more. A part of the set that lies between those points and is not connected with
-    another may be missed, but not if it is all there is. With `ring`, the second to last dimension is closed.
+    Every third point along each dimension is checked (from `first` on along the last two), then the neighbours of
+    points found within, until there are none left. A part of the set between those points, disconnected from the rest,
+    may be missed, unless it is the whole set. With `ring`, the second to last dimension is periodic.
     """
     found, checked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     unchecked = np.zeros(shape, dtype=bool)
@@ -72,10 +71,10 @@ def explored(
 
 
 def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array) -> list[_Crossings]:
-    """Check the limits along rays at growing radii; close in changes by bisection to :data:`BOUNDARY_TOLERANCE`.
+    """Check the limits along rays at increasing radii; bisect changes down to :data:`BOUNDARY_TOLERANCE`.
 
-    Rays point in all azimuths [rad] at all levels [m, rad]; returns one result a level. A part of the set, or of its
-    outside, that is thinner than the distance of the samples may be missed.
+    Rays point in all azimuths [rad] at all levels [m, rad]; returns one result per level. A part of the set, or of its
+    outside, that is thinner than the spacing of the samples may be missed.
     """
 
     def within(index: Index) -> Mask:
@@ -94,7 +93,7 @@ def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array)
 
 
 def brackets(within: Mask, radii: Array) -> _Brackets:
-    """Return where neighbouring samples of rays differ, from masks and growing radii, shape=(n, k)."""
+    """Return where neighbouring samples of rays differ, given masks and increasing radii, shape=(n, k)."""
     rays, sample = np.nonzero(within[:, 1:] != within[:, :-1])
     leaving = within[rays, sample]
     near, far = radii[rays, sample], radii[rays, sample + 1]
@@ -104,7 +103,7 @@ def brackets(within: Mask, radii: Array) -> _Brackets:
 def closed_in(
     space: LimitSpace, azimuths: Array, levels: Array, start: _Brackets, contenders: Contenders | None = None
 ) -> _Brackets:
-    """Close in crossings, or the contenders among them, by bisection to :data:`BOUNDARY_TOLERANCE`."""
+    """Bisect crossings, or only the contenders among them, down to :data:`BOUNDARY_TOLERANCE`."""
     rays, inner, outer = start
     longest = float(np.abs(outer - inner).max(initial=BOUNDARY_TOLERANCE))
     for _ in range(int(np.ceil(np.log2(longest / BOUNDARY_TOLERANCE)))):

@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 
 def write_map(dataset: Map, path: Path) -> list[Path]:
-    """Write a map as NetCDF-4 and as CSV beside it, suffixes added to the path; see the two functions below."""
+    """Write a map as NetCDF-4 and CSV, adding the suffixes to the path; see the two functions below."""
     return [write_netcdf(dataset, path.with_suffix(".nc")), write_csv(dataset, path.with_suffix(".csv"))]
 
 
 def write_netcdf(dataset: Map, path: Path | str) -> Path:
-    """Write a map as NetCDF-4, compressed, angles in radians, and return the path; equal maps give equal bytes.
+    """Write a map as compressed NetCDF-4, angles in radians, and return the path; equal maps give equal bytes.
 
     Raises:
-        OutputError: the file cannot be written; nothing is left of it.
+        OutputError: the file cannot be written; no partial file is left.
     """
     import netCDF4
 
@@ -42,7 +42,7 @@ def write_netcdf(dataset: Map, path: Path | str) -> Path:
                     file.createDimension(str(dim), size)
                 for name in (*dataset.coords, *dataset.data_vars):
                     _write_variable(file, dataset, str(name))
-        except RuntimeError as error:  # what the NetCDF library makes of a full disk
+        except RuntimeError as error:  # raised by the NetCDF library for a full disk
             raise OutputError(path, str(error)) from error
     return Path(path)
 
@@ -58,7 +58,7 @@ def _write_variable(file: Any, dataset: Map, name: str) -> None:
         options["fill_value"] = np.nan
     stored = file.createVariable(name, kind, variable.dims, **options)
     attributes = dict(variable.attrs)
-    # coordinates that are no dimensions have to be named, or they come back as variables
+    # coordinates that are not dimensions must be named, or they are read back as variables
     beside = [str(n) for n, c in dataset.coords.items() if c.dims != (n,) and set(c.dims) <= set(variable.dims)]
     if name in dataset.data_vars and beside:
         attributes["coordinates"] = " ".join(beside)
@@ -67,13 +67,13 @@ def _write_variable(file: Any, dataset: Map, name: str) -> None:
 
 
 def write_csv(dataset: Map, path: Path | str) -> Path:
-    """Write a map as CSV: one row a pose, angles in degrees, the unit at the end of each heading; return the path.
+    """Write a map as CSV: one row per pose, angles in degrees, units in the column headers; return the path.
 
-    Limits are written as words; what is excluded by one is an empty cell. A variable with dimensions of its own has a
-    column for each entry. Coordinates without a unit, which are labels, have none.
+    Limits are written as words; values excluded by one are empty cells. A variable with its own dimensions has a column
+    for each entry. Coordinates without a unit, which are labels, have none.
 
     Raises:
-        OutputError: the file cannot be written; nothing is left of it.
+        OutputError: the file cannot be written; no partial file is left.
     """
     columns = dict(_columns(dataset))
     text = io.StringIO(newline="")
@@ -84,7 +84,7 @@ def write_csv(dataset: Map, path: Path | str) -> Path:
 
 
 def _columns(dataset: Map) -> Iterator[tuple[str, list[str]]]:
-    """Heading and cells of each column."""
+    """Header and cells of each column."""
     coordinates = [str(name) for name, coordinate in dataset.coords.items() if "units" in coordinate.attrs]
     variables: list[Labelled] = list(dataset.data_vars.values())
     template = min(variables, key=lambda variable: len(variable.dims))
@@ -122,7 +122,7 @@ def _column_of_numbers(name: str, unit: str, values: Array) -> tuple[str, list[s
 
 
 def _words(values: Array, attributes: Mapping[str, Any]) -> list[str]:
-    """Names of the flags in each value, with blanks between them."""
+    """Names of the flags in each value, separated by blanks."""
     masks, meanings = attributes["flag_masks"], attributes["flag_meanings"].split()
     words = {
         flags: " ".join(word for mask, word in zip(masks, meanings, strict=True) if flags & mask)

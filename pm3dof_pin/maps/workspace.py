@@ -1,4 +1,4 @@
-"""The reachable set over coordinates as a stack of sections: ranges, volume, and which limit binds where."""
+"""The reachable set over coordinates as a stack of sections: ranges, volume, and the limits that bind."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from pm3dof_pin.typing import Array, Mask
 if TYPE_CHECKING:
     import xarray as xr
 
-LEVEL_TOLERANCE = 1e-10  # how near to the ends of the range of levels they are found
+LEVEL_TOLERANCE = 1e-10  # accuracy of the ends of the range of levels
 
-_PLANE_STEPS = 2.5  # steps along a ray that are one step of the grid on which the range of levels is searched
+_PLANE_STEPS = 2.5  # steps along a ray per step of the grid on which the range of levels is searched
 _AZIMUTH_WINDOW = float(np.radians(6.0))
 _LEAST_LEVELS = 2
 
@@ -34,8 +34,8 @@ class Workspace:
 
     space: LimitSpace  #: coordinates and limits
     level_range: Array  #: least and greatest third coordinate of the reachable set, shape=(2,) [m, rad]
-    sections: tuple[WorkspaceSection, ...]  #: sections in the order of growing level; one, if there are two coordinates
-    #: least and greatest first coordinate, then second, found between the sections too, shape=(2, 2) [m, rad]
+    sections: tuple[WorkspaceSection, ...]  #: sections by increasing level; a single one for two coordinates
+    #: least and greatest first coordinate, then second, also found between the sections, shape=(2, 2) [m, rad]
     ranges: Array
     range_levels: Array  #: the levels at which they are reached, shape=(2, 2) [m, rad]
 
@@ -62,7 +62,7 @@ class Workspace:
     def boundary(self) -> xr.Dataset:
         """Return the boundary points of all sections over `point`: their coordinates [m, rad] and `binding_limits`.
 
-        These are sums of the limits that end the reachable set there.
+        The latter are sums of the limits that bound the reachable set there.
         """
         import xarray as xr
 
@@ -82,10 +82,10 @@ class Workspace:
 
 
 def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int = 360) -> Workspace:
-    """Find the reachable set in sections: a number of them, equally spaced, or growing levels [m, rad].
+    """Find the reachable set in sections: a number of equally spaced ones, or at increasing levels [m, rad].
 
     Raises:
-        InvalidValueError: fewer than two levels, levels that are not finite and growing, or fewer than 8 directions.
+        InvalidValueError: fewer than two levels, levels not finite and increasing, or fewer than 8 directions.
         UnreachablePoseError: no pose at all, or none at the given levels, is within the limits.
     """
     if not space.stacked:
@@ -93,7 +93,7 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
     low, high = level_range(space)
     stack = np.linspace(low, high, levels) if isinstance(levels, int) else np.asarray(levels, dtype=float)
     if stack.ndim != 1 or len(stack) < _LEAST_LEVELS or not np.all(np.isfinite(stack)) or np.any(np.diff(stack) <= 0.0):
-        raise InvalidValueError("levels", levels, "at least two finite numbers in growing order")
+        raise InvalidValueError("levels", levels, "at least two finite, increasing numbers")
     sections = tuple(workspace_sections(space, stack, directions))
     boundary = np.concatenate([section.polar_points for section in sections])
     if len(boundary) == 0:
@@ -114,8 +114,8 @@ def _of_one_section(space: LimitSpace, directions: int) -> Workspace:
 def level_range(space: LimitSpace) -> tuple[float, float]:
     """Find the least and greatest third coordinate of the reachable set; UnreachablePoseError if the set is empty.
 
-    Searched over a grid of the other two that contains the centre of the sections, and over levels in steps; then
-    closed in by bisection to :data:`LEVEL_TOLERANCE`.
+    Searched over a grid of the other two that contains the centre of the sections, and over levels in steps, then
+    refined by bisection to :data:`LEVEL_TOLERANCE`.
     """
     steps = int(space.reach / (_PLANE_STEPS * space.ray_step))
     offsets = _PLANE_STEPS * space.ray_step * np.arange(-steps, steps + 1)
@@ -133,7 +133,7 @@ def level_range(space: LimitSpace) -> tuple[float, float]:
         raise UnreachablePoseError(f"no pose of {space.machine} is within all limits: the workspace is empty")
     ends = []
     for last, beyond in ((reachable[0], max(reachable[0] - 1, 0)), (reachable[-1], reachable[-1] + 1)):
-        points = plane[with_neighbours(found[last])]  # a slanting set may end beside what it is at this level
+        points = plane[with_neighbours(found[last])]  # a slanting set may end outside its section at this level
         ends.append(_end_of_levels(space, points, levels[last], levels[min(beyond, len(levels) - 1)]))
     return ends[0], ends[1]
 

@@ -1,13 +1,13 @@
-"""Quantities judged over the whole reachable set: mean, spread, extremes, global indices, and which spring governs.
+"""Quantities evaluated over the reachable set: mean, spread, extremes, global indices, and critical springs.
 
-A pose of the grid stands for its cell, cut at the edges of the grid (the trapezoidal rule), so that averages are over
-the volume of the reachable set in the robot's coordinates, each in its own unit, and do not depend on the density of
-the grid. Two global indices of the stiffness are in use:
+A pose of the grid represents its cell, cut at the edges of the grid (the trapezoidal rule). So averages are over the
+volume of the reachable set in the robot's coordinates, each in its own unit, and independent of the grid's density.
+There are two global indices of the stiffness:
 
 - the mean of its diagonal, averaged over the workspace: D. Zhang, Parallel Robotic Machine Tools (Springer 2010). It
   adds N/m and N m/rad, and so depends on the unit of length;
-- the mean of 1 / condition number: C. Gosselin and J. Angeles, J. Mechanical Design 113 (1991), who have it for
-  Jacobians; here of the stiffness at its characteristic length, 1 if the tool is equally stiff in all its motions.
+- the mean of 1 / condition number: C. Gosselin and J. Angeles, J. Mechanical Design 113 (1991), who define it for
+  Jacobians; here for the stiffness at its characteristic length, 1 if the tool is equally stiff in all its motions.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 SHARES = "spring_shares"
 CRITICAL = "critical_spring"
 STIFFER = 0.1
-"""By how much a spring is stiffened to see what it brings."""
+"""Relative stiffening of a spring to evaluate its gain."""
 
 TIE = 1e-6
-"""Shares that differ by less than this are equal: springs that are each other's mirror image."""
+"""Shares that differ by less than this are treated as equal: springs that mirror each other."""
 
 _ELASTIC = ("felt_stiffness", "translational_stiffness", "rotational_stiffness", "condition_number")
 _OF_FREE_MOTIONS = ("free_stiffness", "felt_stiffness")
@@ -44,7 +44,7 @@ _OF_FREE_MOTIONS = ("free_stiffness", "felt_stiffness")
 
 @dataclass(frozen=True)
 class Distribution:
-    """One number over the volume of the reachable set: its moments, extremes and the coordinates of these [m, rad]."""
+    """One number over the volume of the reachable set: its moments, extremes and their coordinates [m, rad]."""
 
     name: str
     entry: str  #: label of the entry, "" for a scalar
@@ -55,40 +55,40 @@ class Distribution:
     greatest: float
     least_at: dict[str, float]
     greatest_at: dict[str, float]
-    defined_part: float  #: part of the reachable volume in which it has a finite value
+    defined_part: float  #: fraction of the reachable volume in which it has a finite value
 
     @property
     def label(self) -> str:
-        """Name and entry in one word."""
+        """Name and entry as one word."""
         return f"{self.name}_{self.entry}" if self.entry else self.name
 
 
 @dataclass(frozen=True)
 class _SpringRank:
-    """What one spring means for one axis of the tool, over the reachable set."""
+    """Importance of one spring for one axis of the tool, over the reachable set."""
 
-    axis: str  #: x, y, z, rx, ry or rz: the tool pushed or turned along it, free in all else
-    spring: str  #: its name
-    governs_part: float  #: part of the volume in which it gives most; equal ones have equal parts of it
-    mean_share: float  #: its part in the deflection, average over the volume
-    least_share: float  #: the least such part
-    greatest_share: float  #: the greatest such part
-    #: by which part the felt stiffness grows at least if the spring is made stiffer by :data:`STIFFER`, average over
-    #: the volume; exactly so where the load path is unique
+    axis: str  #: x, y, z, rx, ry or rz: the tool loaded along it and otherwise free
+    spring: str  #: name of the spring
+    governs_part: float  #: fraction of the volume in which it contributes most; equal springs share it equally
+    mean_share: float  #: its share of the deflection, averaged over the volume
+    least_share: float  #: the least such share
+    greatest_share: float  #: the greatest such share
+    #: lower bound of the relative gain in felt stiffness if the spring is made stiffer by :data:`STIFFER`, averaged
+    #: over the volume; exact if the load path is unique
     gain_of_10_percent_at_least: float
-    gain_of_10_percent_at_most: float  #: and at most
+    gain_of_10_percent_at_most: float  #: upper bound
 
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceEvaluation:
-    """A robot judged over its reachable set."""
+    """A robot evaluated over its reachable set."""
 
-    #: the quantities over the grid, NaN where a limit excludes the pose; with the shares of the springs,
-    #: `critical_spring`, which says for each axis which spring gives most
+    #: the quantities over the grid, NaN where a limit excludes the pose; with the shares of the springs, also
+    #: `critical_spring`, the spring that contributes most for each axis
     dataset: xr.Dataset
-    reachable: float  #: part of the volume of the grid that is reachable
-    distributions: tuple[Distribution, ...]  #: of every number
-    indices: dict[str, float]  #: the global indices; empty if the elastic stiffness was not asked for
+    reachable: float  #: fraction of the grid's volume that is reachable
+    distributions: tuple[Distribution, ...]  #: of every quantity and entry
+    indices: dict[str, float]  #: the global indices; empty if the elastic stiffness was not requested
     #: rank of every spring for every axis, most important first; empty without the shares of the springs
     springs: tuple[_SpringRank, ...]
 
@@ -102,7 +102,7 @@ def evaluate_workspace(
     engine: Engine = "program",
     threads: int | None = None,
 ) -> WorkspaceEvaluation:
-    """Judge quantities of a robot, by default the elastic stiffness, over the reachable part of a grid.
+    """Evaluate quantities of a robot, by default the elastic stiffness, over the reachable part of a grid.
 
     With `springs`, the springs are ranked and the indices of the elastic stiffness computed.
 
@@ -149,7 +149,7 @@ def _has_rigid_directions(mapped: MappedRobot) -> bool:
 
 
 def _cell_volumes(grid: Grid) -> Array:
-    """Return the volume that each pose of a grid stands for, by the trapezoidal rule, shape=grid.shape [m, rad]."""
+    """Return the volume represented by each pose of a grid, by the trapezoidal rule, shape=grid.shape [m, rad]."""
     volumes = np.ones(grid.shape)
     for axis, values in enumerate(grid.axes.values()):
         lengths = np.ones(1)
@@ -166,7 +166,7 @@ def _distributions(dataset: xr.Dataset, name: str, grid: Grid, inside: Mask, wei
     for entry in [str(label) for label in variable[own[0]].values] if own else [""]:
         if len(own) == 2 and own[1] != f"{own[0]}_2":
             rows = [(f"{entry}_{other}", {own[0]: entry, own[1]: other}) for other in variable[own[1]].values]
-        else:  # of matrices the diagonal
+        else:  # the diagonal of matrices
             rows = [(entry, dict.fromkeys(own, entry))]
         for label, place in rows:
             values = variable.sel(place).values
@@ -184,7 +184,7 @@ def _distribution(
     mean = float(np.average(values[known], weights=volume))
     deviation = math.sqrt(float(np.average((values[known] - mean) ** 2, weights=volume)))
     names = [coordinate.name for coordinate in grid.coordinates]
-    # of poses that symmetry makes alike the first one, whichever rounding prefers
+    # the first of symmetric poses, whichever rounding favours
     least, greatest = float(np.nanmin(values)), float(np.nanmax(values))
     alike = (values <= least + 1e-9 * abs(least), values >= greatest - 1e-9 * abs(greatest))
     ends = [np.unravel_index(int(np.argmax(extreme)), values.shape) for extreme in alike]
@@ -195,7 +195,7 @@ def _distribution(
 
 
 def _global_indices(stiffness: Array, turns: Mask, weights: Array) -> dict[str, float]:
-    """Return both indices of stiffness matrices, shape=(n, p, p), of which some motions are turns, shape=(p,)."""
+    """Return both indices of stiffness matrices, shape=(n, p, p); `turns` marks rotational motions, shape=(p,)."""
     known = np.isfinite(stiffness).all(axis=(1, 2))
     matrices, volume = stiffness[known], weights[known]
     if not len(matrices):
@@ -218,16 +218,16 @@ def _with_critical_springs(dataset: xr.Dataset) -> xr.Dataset:
     names = [str(name) for name in dataset["spring"].values]
     critical = np.where(np.isfinite(shares.values).all(axis=-1), np.argmax(_leading(shares.values), axis=-1), -1)
     attributes = {
-        "long_name": "spring that gives most along the axis",
+        "long_name": "spring that contributes most to the deflection along the axis",
         "units": "1",
         "spring_numbers": " ".join(f"{number}:{name}" for number, name in enumerate(names, start=1)),
-        "comment": "0 where no limit admits the pose, or nothing gives along the axis",
+        "comment": "0 where a limit excludes the pose, or nothing deflects along the axis",
     }
     return dataset.assign({CRITICAL: (shares.dims[:-1], (critical + 1).astype(np.int16), attributes)})
 
 
 def _leading(shares: Array) -> Mask:
-    """Tell which springs have the greatest share, several where they are equal, shape=(..., springs)."""
+    """Tell which springs have the greatest share, several if equal, shape=(..., springs)."""
     leading: Mask = shares >= shares.max(axis=-1, keepdims=True) - TIE
     return leading
 

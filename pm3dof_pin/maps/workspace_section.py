@@ -1,9 +1,9 @@
-"""The reachable part of a section: boundary, area, ranges, and which limit binds where.
+"""The reachable part of a section: boundary, area, ranges, and the limits that bind.
 
-Rays leave the centre of the section in equally spaced directions, and every crossing of the boundary is kept. So a
-section may be without its centre, have holes, or be met several times by a ray, and its area is still right. Where each
-ray leaves the set once and never comes back, the section is called star-shaped, and its boundary is one closed line;
-every section of the chapter's machine is.
+Rays leave the centre of the section in equally spaced directions, and every crossing with the boundary is kept. So a
+section may exclude its centre, have holes, or be crossed several times by a ray, and its area is still correct. If
+each ray leaves the set once and never re-enters it, the section is called star-shaped, and its boundary is one closed
+line; this holds for every section of the chapter's machine.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from pm3dof_pin.typing import Array
 class WorkspaceSection:
     """The reachable part of a section.
 
-    Boundary points are ordered by ray and, on a ray, by radius. Each lies within all limits, no farther than 1e-10 as a
-    radius from a pose that breaks one.
+    Boundary points are ordered by ray and, on a ray, by radius. Each lies within all limits, and within 1e-10 in
+    radius of a pose that breaks one.
     """
 
     space: LimitSpace  #: coordinates and limits
@@ -35,7 +35,7 @@ class WorkspaceSection:
     radii: Array  #: distance of each boundary point from the centre, shape=(m,)
     leaving: NDArray[np.bool_]  #: whether the ray leaves the reachable set there or enters it, shape=(m,)
     limits: Flags  #: sums of the limits broken just across the boundary, shape=(m,)
-    #: least and greatest first coordinate, then second, found between the rays too; NaN if the section is empty,
+    #: least and greatest first coordinate, then second, also found between the rays; NaN if the section is empty,
     #: shape=(2, 2) [m, rad]
     ranges: Array
 
@@ -72,7 +72,7 @@ class WorkspaceSection:
 
 
 def workspace_section(space: LimitSpace, level: float | None = None, directions: int = 360) -> WorkspaceSection:
-    """Find the reachable part of a section at a level [m, rad], by default the middle of where it is searched.
+    """Find the reachable part of a section at a level [m, rad], by default in the middle of the searched range.
 
     Raises:
         InvalidValueError: the level is not finite, or there are fewer than 8 directions.
@@ -86,7 +86,7 @@ def workspace_section(space: LimitSpace, level: float | None = None, directions:
 def workspace_sections(
     space: LimitSpace, levels: Array, directions: int, *, ranges: bool = True
 ) -> list[WorkspaceSection]:
-    """Find the reachable parts at n levels as :func:`workspace_section`; without ranges it takes half of the time."""
+    """Find the reachable parts at n levels as :func:`workspace_section`; without ranges in half the time."""
     if directions < 8:
         raise InvalidValueError("directions", directions, "at least 8 rays")
     samples = np.linspace(0.0, space.reach, int(np.ceil(space.reach / space.ray_step)) + 1)
@@ -99,7 +99,7 @@ def workspace_sections(
 
 
 def _with_ranges(space: LimitSpace, sections: list[WorkspaceSection], half_width: float) -> list[WorkspaceSection]:
-    """Fill in the ranges of all sections at once: programs like long arrays."""
+    """Fill in the ranges of all sections at once: programs are faster on long arrays."""
     filled = [section for section in sections if not section.empty]
     if not filled:
         return sections

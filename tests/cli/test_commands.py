@@ -284,7 +284,7 @@ def test_broken_limit_is_answered_named_and_fails(run: Run, command: str) -> Non
         (["stiffness-map", "--tilt", "-40"], 2, "'--tilt': -40 is not an angle"),
         (["atlas", "--points", "5", "1", "5"], 2, "--points 5 1 5: expected at least 2 each"),
         (["atlas", "--heights", "0.5", "0.4"], 2, "--heights 0.5 0.4: expected two finite, increasing"),
-        (["atlas", "--points", "90000", "90000", "90000"], 1, "GB of disk to make"),
+        (["atlas", "--points", "90000", "90000", "90000"], 1, "GB of disk space"),
         (["atlas", "--tilt", "nan"], 2, "'--tilt': nan is not a finite number"),
         (["fk", "0.1", "0.2", "0.9"], 1, "u1 ranges from 0.1553 to 0.3253 m, u3 ranges from 0.1553 to 0.3253 m"),
         (["stiffness-map", "--height", "0.9"], 1, "no pose of the map at z_e = 0.9 m is within every joint limit"),

@@ -182,7 +182,7 @@ def test_an_unfinished_atlas_of_other_settings_is_not_mixed_in(
     with pytest.raises(KeyboardInterrupt):
         compute_atlas(make(mechanism, tmp_path / "atlas.nc"))
     monkeypatch.setattr(atlas_module, "_compute_block", compute)
-    with pytest.raises(OutputError, match="unfinished atlas of other settings"):
+    with pytest.raises(OutputError, match="unfinished atlas with other settings"):
         compute_atlas(make(mechanism, tmp_path / "atlas.nc", (13, 11, 8)))
 
 
@@ -203,7 +203,7 @@ def test_an_older_atlas_gives_way_and_nothing_else_does(mechanism: Robot, tmp_pa
     (tmp_path / "other.zarr" / "data").write_text("kept")
     before = digest(tmp_path)
     for name in ("folder.nc", "file.zarr", "other.zarr"):
-        with pytest.raises(OutputError, match=rf"{name}: .* is there, expected nothing or"):
+        with pytest.raises(OutputError, match=rf"{name}: the path is .*: expected nothing or"):
             compute_atlas(make(mechanism, tmp_path / name))
     assert digest(tmp_path) == before
     for name in ("atlas.nc", "atlas.zarr"):
@@ -217,7 +217,7 @@ def test_an_older_atlas_gives_way_and_nothing_else_does(mechanism: Robot, tmp_pa
 def test_no_room_on_the_disk(mechanism: Robot, tmp_path: Path, suffix: str, gigabytes: str) -> None:
     """10^9 poses of 36 numbers and one byte; refused before anything is written, and not one block is listed."""
     job = make(mechanism, tmp_path / f"atlas{suffix}", (1000, 1000, 1000), "K")
-    with pytest.raises(OutputError, match=rf"it takes up to {gigabytes} GB of disk to make, .* GB are free"):
+    with pytest.raises(OutputError, match=rf"it needs up to {gigabytes} GB of disk space, .* GB are free"):
         compute_atlas(job)
     assert list(tmp_path.iterdir()) == []
 
