@@ -30,6 +30,7 @@ from pm3dof_pin.programs.geometry import frame_names
 from pm3dof_pin.typing import Array, Engine, Mask, Vector
 
 _POSES_TO_CLOSE_TOGETHER = 3
+_SMALL = 1e-3  # errors [m, rad] with which loops are closed at most; displacements by other causes are of size 1
 _POSES_TO_CLOSE_AT = 20  # at a single pose, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
@@ -143,7 +144,8 @@ def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricEr
     order = np.lexsort((turning, loops.idle()))
     fitting = order[loops.strains()[order] <= RANK_TOLERANCE]
     kept = np.zeros(len(errors), dtype=bool)
-    _keep_closable(errors, errors.sample(np.random.default_rng(0)), fitting, kept, poses[:_POSES_TO_CLOSE_TOGETHER])
+    small = np.minimum(errors.tolerances, _SMALL) * np.random.default_rng(0).standard_normal(len(errors))
+    _keep_closable(errors, small, fitting, kept, poses[:_POSES_TO_CLOSE_TOGETHER])
     return errors.select(_names(errors, kept))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -194,3 +195,10 @@ def test_a_sarrus_linkage_closes_with_all_errors_that_are_kept(tmp_path: Path) -
     for seed in range(3):
         crooked = errors.apply(errors.sample(np.random.default_rng(seed)))
         assert crooked.forward([[0.05], [-0.05], [0.1]], on_failure="nan").solved.all()
+
+
+def test_what_closes_does_not_depend_on_the_size_of_errors() -> None:
+    """Displacements by heat or play are given as effects of 1 m and 1 rad, with which no machine would close."""
+    errors = GeometricErrors.load("hexapod")
+    large = GeometricErrors(errors.robot, [dataclasses.replace(p, tolerance=1.0) for p in errors.parameters])
+    assert closable(large).names == closable(errors).names == errors.names
