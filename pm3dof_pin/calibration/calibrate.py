@@ -225,7 +225,7 @@ def _warn_of_unseen_motions(measurements: Measurements, nominal: Poses, options:
         raise InvalidValueError("poses measured", problem, "poses near the commanded ones") from error
     seen, drives = int(np.linalg.matrix_rank(control_inverse(found.control)).max()), found.control.shape[2]
     if seen < drives and not measurements.joints:  # encoders show more, but of the tool only by the model
-        advice = "" if measurements.measured == "pose" else ": measure poses, or targets off the tool point"
+        advice = "" if measurements.measured == "pose" else ": measure poses, or targets away from the tool point"
         logger.warning("each measurement shows %d of the %d motions of the drives%s", seen, drives, advice)
     if options.learns and measurements.points.any():
         logger.warning("a single target does not show full poses, so a learned correction is poor; use method lm")

@@ -99,7 +99,7 @@ def pseudo_errors(
     """Find the deviations of the commands that explain measurements, by inverting a model's kinematics at the visits.
 
     Raises:
-        UnreachablePoseError: no commands bring the model there.
+        UnreachablePoseError: no commands take the model there.
         SingularConfigurationError: at some command the tool can move with all drives locked.
     """
     scales = command_scales(model)

@@ -33,7 +33,7 @@ _DIRECTIONS = np.stack([np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), np.diag([0.0, 0
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Variances of tip errors that nothing known explains."""
+    """Variances of otherwise unexplained tip errors."""
 
     #: a and b, variance of each direction of the tip-weighted error: positions and orientations, shape=(2,) [m^2]
     everywhere: Array = field(default_factory=lambda: np.zeros(2))

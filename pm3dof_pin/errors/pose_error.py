@@ -19,7 +19,7 @@ TIP_LENGTH = 0.1
 
 
 def position_error(ideal: ArrayLike, real: ArrayLike) -> Array:
-    """Return the distance between desired and reached positions, shape=(..., 4, 4), (8.16), shape=(...) [m]."""
+    """Return the position error between desired and reached poses, shape=(..., 4, 4), (8.16), shape=(...) [m]."""
     return np.asarray(np.linalg.norm(_position(real) - _position(ideal), axis=-1))
 
 

@@ -109,7 +109,7 @@ class Measurements:
         ]
         for name, array, shape in shapes:
             if array is not None and (array.shape != shape or not np.isfinite(array).all()):
-                expected = f"finite numbers of shape {shape}, one row a measurement"
+                expected = f"finite numbers of shape {shape}, one row per measurement"
                 raise InvalidValueError(name, f"an array of shape {array.shape}", expected)
         if self.distances is not None and (
             self.origins is None or self.partners is None or self.origins.shape != (n, 3) or len(self.distances) != n
