@@ -266,7 +266,7 @@ class GeometricErrors:
 
     @functools.cached_property
     def _hanging(self) -> dict[str, list[int]]:
-        """Each place that is a frame, and the frames that hang on it, itself first."""
+        """Each place that is a frame, with the frames attached to it, itself first."""
         model = self.robot.model
         return {
             place: _frame_and_descendants(model, self.robot.frame_id(place))

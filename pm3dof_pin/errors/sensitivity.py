@@ -30,7 +30,7 @@ from pm3dof_pin.programs.geometry import frame_names
 from pm3dof_pin.typing import Array, Engine, Mask, Vector
 
 _POSES_TO_CLOSE_TOGETHER = 3
-_SMALL = 1e-3  # errors [m, rad] with which loops are closed at most; displacements by other causes are of size 1
+_SMALL = 1e-3  # greatest errors [m, rad] for closing loops; displacements by other causes have unit size
 _POSES_TO_CLOSE_AT = 20  # at a single pose, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
@@ -131,9 +131,9 @@ def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricEr
 
     The poses are random by default. A planar four-bar with parallel axes cannot close when one axis is tilted: it
     would bend or bind, so such an error is not kinematic. Each parameter is first judged by itself, to first order. If
-    the loops do not close with all that remain, these are added in turn, and those that keep the loops open are left
-    out: rotations after lengths, and last what moves no loop by itself, such as the rotation of a rod about its own
-    axis.
+    the loops do not close with all the remaining ones together, they are added in turn, and those with which the loops
+    stay open are left out: lengths come first, then rotations, then parameters that move no loop by themselves, such as
+    the rotation of a rod about its own axis.
     """
     if not len(errors) or not errors.robot.closures:
         return errors
@@ -150,11 +150,11 @@ def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricEr
 
 
 def _keep_closable(errors: GeometricErrors, values: Vector, more: NDArray[np.intp], kept: Mask, poses: Poses) -> None:
-    """Add to the parameters kept, in place, more with which the loops close at these values; in halves if not all."""
+    """Extend `kept` in place by those of `more` with which the loops close at these values, bisecting if needed."""
     trial = kept.copy()
     trial[more] = True
     crooked = errors.apply(np.where(trial, values, 0.0))
-    # one pose is enough, others may be out of the reach of such a machine
+    # one pose is enough: the others may be out of reach of such a machine
     if crooked.forward(poses.commands, guess=poses.q, on_failure="nan", engine="pinocchio").solved.any():
         kept[:] = trial
     elif len(more) > 1:
