@@ -34,7 +34,7 @@ from pm3dof_pin.typing import Mask
 
 _EXPLAINS = 0.25  # greatest remaining fraction of the misfit
 _HALF = 0.5  # likewise, if the rest needs no mistake to explain it
-_AS_WELL = 4.0  # times the rest of the best explanation: up to here a simpler kind is preferred
+_AS_WELL = 4.0  # times the rest of the best explanation, if that leaves too much: up to here simpler ones are better
 _EQUAL = 1.001  # times: the same mistake in other words
 _ALIKE = 1.5  # times the rest of another: not distinguishable from it
 _OTHERS = 2  # named after the first
@@ -100,7 +100,8 @@ def likely_cause(
     def simplest(kinds: Iterable[Iterable[Mistake]], enough: float = 0.0) -> _Cause | None:
         causes = [cause for kind in kinds if (cause := explanation(kind)) is not None]
         best = min((cause.after for cause in causes), default=0.0)
-        first = next((cause for cause in causes if cause.after <= max(_AS_WELL * best, enough)), None)
+        as_well = max(enough, (_ALIKE if best <= enough else _AS_WELL) * best)
+        first = next((cause for cause in causes if cause.after <= as_well), None)
         if first is None:
             return None
         as_good = _ALIKE * (first.after if first.after <= _AS_WELL * best else best)
