@@ -1,4 +1,4 @@
-"""The scene in a browser: any mechanism of the package in meshcat's page, served on this machine or as one file."""
+"""The viewer: any mechanism in meshcat's page in a browser, served on this machine or as one file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A path as an animation of meshcat's page: key frames of every body and every ellipsoid."""
+"""A path as an animation of meshcat's page: key frames of all bodies and ellipsoids."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pm3dof_pin.viewer.scene import Json
 
 
 def clips(tracks: Mapping[str, Sequence[Array]], frames_per_second: float) -> list[Json]:
-    """Return transforms of each path, frame after frame, shape=(4, 4) each, as an animation that the page reads."""
+    """Return the transforms of each path, one per frame, shape=(4, 4) each, as an animation for the page."""
     return [
         {"path": path, "clip": {"fps": frames_per_second, "name": "path", "tracks": _tracks(transforms)}}
         for path, transforms in tracks.items()
@@ -20,12 +20,12 @@ def clips(tracks: Mapping[str, Sequence[Array]], frames_per_second: float) -> li
 
 
 def aligned_ellipsoids(transforms: Sequence[Array]) -> list[Array]:
-    """Return transforms of ellipsoids, shape=(4, 4) each, with axes ordered and signed so that neighbours interpolate.
+    """Return transforms of ellipsoids, shape=(4, 4) each, with axes ordered and signed for interpolation.
 
-    Axes of an ellipsoid have no order and no sign; of the 24 right-handed choices, each frame takes that which turns
-    least.
+    The order and signs of an ellipsoid's axes are arbitrary; of the 24 right-handed choices, each frame takes the one
+    that turns least.
     """
-    from scipy.spatial.transform import Rotation  # takes longer to load than the rest of the page
+    from scipy.spatial.transform import Rotation  # slower to import than the rest of the page
 
     turns = np.round(Rotation.create_group("O").as_matrix())
     aligned = [np.array(transforms[0])]
@@ -49,7 +49,7 @@ def _tracks(transforms: Sequence[Array]) -> list[Json]:
         positions.append(transform[:3, 3])
         scales.append(lengths)
         quaternion = pin.Quaternion(transform[:3, :3] / lengths).coeffs()
-        # of the two quaternions of a rotation, the one nearer to the frame before: the short way round
+        # of the two quaternions of a rotation, the one nearer to the previous frame, for the shorter turn
         near = not quaternions or float(quaternion @ quaternions[-1]) >= 0.0
         quaternions.append(quaternion if near else -quaternion)
     named = (
@@ -68,6 +68,6 @@ def _tracks(transforms: Sequence[Array]) -> list[Json]:
 
 
 def _single(values: Sequence[Array]) -> Array:
-    """Round to single precision, which browsers animate in; one value for all frames where it never changes."""
+    """Round to single precision, as browsers animate; one value for all frames if it is constant."""
     rounded = np.array([[f"{entry:.8g}" for entry in value] for value in values], dtype=float)
     return rounded[:1] if np.all(rounded == rounded[0]) else rounded

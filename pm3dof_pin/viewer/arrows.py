@@ -1,4 +1,4 @@
-"""Arrows: forces of sliding joints, moments (two heads) of turning ones, and frames."""
+"""Arrows: forces of prismatic joints, moments (two heads) of revolute ones, and frames."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from pm3dof_pin.viewer.scene import Json, Scene
 COLOUR: Colour = (0.78, 0.07, 0.13)
 _AXIS_COLOURS: tuple[Colour, Colour, Colour] = ((0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.12, 0.47, 0.71))
 
-_LEAST = 1e-6  # a length of zero would leave no direction
+_LEAST = 1e-6  # a zero length would leave no direction
 
 
 @dataclass(frozen=True)
 class ActuatorAxis:
-    """An actuated joint's axis in the world: origin on the moved body [m] and positive unit direction."""
+    """The axis of an actuated joint in the world: origin on the moved body [m] and positive unit direction."""
 
     joint: str
     origin: Array
@@ -31,7 +31,7 @@ class ActuatorAxis:
 
     @classmethod
     def of(cls, configuration: Configuration) -> tuple[ActuatorAxis, ...]:
-        """Return the axes of all actuated joints, in their order."""
+        """Return the axes of all actuated joints, in order."""
         mechanism, placements, axes = configuration.mechanism, joint_placements(configuration), []
         for name in mechanism.actuated_joints:
             placement = placements[mechanism.model.getJointId(name)]
@@ -45,9 +45,9 @@ class ActuatorAxis:
         return "N m" if self.turns else "N"
 
     def arrow(self, force: float, *, scale: float, width: float) -> Array:
-        """Return what makes the arrow of :func:`draw_arrow` a force [N, N m] on the axis, shape=(4, 4).
+        """Return the transform that makes the arrow of :func:`draw_arrow` a force [N, N m] on the axis, shape=(4, 4).
 
-        A force of 1 is `scale` long [m], its head half `width` wide [m]; a short arrow is slimmer.
+        A force of 1 has length `scale` [m]; the half width of the head is `width` [m], less for short arrows.
         """
         turn = objects.turn_z_to(self.direction if force >= 0.0 else -self.direction)
         length = max(scale * abs(force), _LEAST * width)
@@ -56,7 +56,7 @@ class ActuatorAxis:
 
 
 def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
-    """Put an arrow of length 1 and half width 1 along z at a path, with one head for a force, two for a moment."""
+    """Draw an arrow of length 1 and half width 1 along z at a path, with one head for a force, two for a moment."""
     parts: dict[str, tuple[Json, float]] = {"shaft": (objects.cylinder(0.35, 0.75), 0.375)}
     for head in range(heads):
         parts[f"head{head}"] = (objects.cylinder(1.0, 0.28, 0.0), 0.86 - 0.2 * head)
@@ -66,7 +66,7 @@ def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
 
 
 def draw_frame(scene: Scene, path: str, placement: ArrayLike, size: float) -> None:
-    """Put a frame with arrows of a length [m] at a path, at a placement in its parent, shape=(4, 4)."""
+    """Draw a frame with arrows of a length [m] at a path, at a placement in its parent, shape=(4, 4)."""
     scene.set_transform(path, placement)
     shaft, head = objects.cylinder(0.028 * size, 0.82 * size), objects.cylinder(0.07 * size, 0.2 * size, 0.0)
     for direction, axis, colour in zip(np.eye(3), "xyz", _AXIS_COLOURS, strict=True):

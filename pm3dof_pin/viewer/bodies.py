@@ -1,4 +1,4 @@
-"""The bodies of a mechanism as drawn things: the visuals of its URDF, or a stick figure where it has none."""
+"""The drawn bodies of a mechanism: the visuals of its URDF, or a stick figure if it has none."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ _logger = logging.getLogger(__name__)
 
 ROOT = "/robot"
 
-_DIRECTIONS = 400  # in which the outermost points are searched
+_DIRECTIONS = 400  # searched for outermost points
 
 _STICK_COLOUR: Colour = (0.0, 0.447, 0.698)
 _JOINT_COLOUR: Colour = (0.835, 0.369, 0.0)
 _PASSIVE_COLOUR: Colour = (0.55, 0.57, 0.60)
 _GREY = (0.8, 0.8, 0.82, 1.0)
-_FINE = 2000  # triangles from which vertices of a mesh are joined
-_CELLS = (200, 100, 50)  # parts of its size within which they are, the first that leaves few enough
+_FINE = 2000  # number of triangles from which vertices of a mesh are merged
+_CELLS = (200, 100, 50)  # cells per size of the mesh within which they are merged: the first that leaves few enough
 _MOST_VERTICES = 10_000
 
 
 @dataclass(frozen=True)
 class _Part:
-    """One drawn object of a body; its placement and its box's corners, shape=(8, 3) [m], are in the body's frame."""
+    """One drawn object of a body; its placement and box corners, shape=(8, 3) [m], are in the body frame."""
 
     name: str
     lowered: Json
@@ -52,7 +52,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class Body:
-    """Drawn parts of one link (of a stick figure: joint), placed in the frame of the joint that moves it."""
+    """Drawn parts of one link (stick figure: joint), in the frame of the joint that moves it."""
 
     name: str
     joint: int
@@ -61,26 +61,26 @@ class Body:
 
     @property
     def path(self) -> str:
-        """Its path in the scene."""
+        """Path in the scene."""
         return f"{ROOT}/{self.name.replace('/', '_')}"
 
     @property
     def parts_path(self) -> str:
-        """Path of all that is drawn of it; frames hang beside."""
+        """Path of its drawn parts; frames are siblings."""
         return f"{self.path}/visual"
 
 
 class Bodies(tuple[Body, ...]):
-    """All that is drawn of a mechanism."""
+    """All drawn bodies of a mechanism."""
 
     @classmethod
     def of(cls, mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | None = None) -> Bodies:
-        """Return what is to be drawn of a mechanism.
+        """Return the drawn bodies of a mechanism.
 
-        By default the visuals of the file it was read from; where these are missing or lack a mesh, a stick figure.
+        By default the visuals of the file it was read from; a stick figure if these are missing or lack a mesh.
 
         Raises:
-            DescriptionError: a file given as `visuals` is unreadable, or a mesh that it names is missing.
+            DescriptionError: a file given as `visuals` is unreadable, or one of its meshes is missing.
         """
         geometry = visuals if isinstance(visuals, pin.GeometryModel) else _geometry(mechanism, visuals)
         if geometry is not None and geometry.ngeoms:
@@ -88,17 +88,17 @@ class Bodies(tuple[Body, ...]):
         return cls(_stick_figure(mechanism))
 
     def placements(self, configuration: Configuration) -> dict[str, Array]:
-        """Return the placement of every body in the world by its path in the scene, shape=(4, 4) each."""
+        """Return the placement of every body in the world by path in the scene, shape=(4, 4) each."""
         joints = joint_placements(configuration)
         return {body.path: joints[body.joint] @ body.placement for body in self}
 
     def box(self, configuration: Configuration) -> Array:
-        """Return least and greatest coordinates of all that is drawn, shape=(2, 3) [m]."""
+        """Return the least and greatest coordinates of everything drawn, shape=(2, 3) [m]."""
         points = self._corner_points(configuration)
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
     def outermost_points(self, configuration: Configuration) -> Array:
-        """Return few points that have all that is drawn between them, nearly, shape=(n, 3) [m]."""
+        """Return a few points whose convex hull contains nearly everything drawn, shape=(n, 3) [m]."""
         points = self._corner_points(configuration)
         index = np.arange(_DIRECTIONS) + 0.5
         height, azimuth = 1.0 - 2.0 * index / _DIRECTIONS, (3.0 - math.sqrt(5.0)) * math.pi * index  # on a sphere
@@ -128,7 +128,7 @@ def _geometry(mechanism: Mechanism, urdf: Path | str | None) -> pin.GeometryMode
     try:
         return read_visuals(mechanism.model, mechanism.files)
     except DescriptionError as error:
-        _logger.warning("%s: drawn as a stick figure; --package-path says where packages are", error)
+        _logger.warning("%s: drawn as a stick figure; give the folders of packages with --package-path", error)
         return None
 
 
@@ -146,7 +146,7 @@ def _drawn_bodies(mechanism: Mechanism, geometry: pin.GeometryModel) -> tuple[Bo
 
 
 def _part(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
-    """Return a box, cylinder, sphere, ellipsoid or capsule; nothing for other shapes."""
+    """Return a box, cylinder, sphere, ellipsoid or capsule; empty for other shapes."""
     kind, geometry, turn = type(shape.geometry).__name__, shape.geometry, np.eye(4)
     if kind == "Box":
         drawn = [(objects.box(2.0 * np.array(geometry.halfSide)), turn)]
@@ -161,7 +161,7 @@ def _part(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
         drawn = [(objects.cylinder(geometry.radius, 2.0 * geometry.halfLength), objects.Y_TO_Z)]
         drawn += [(objects.sphere(geometry.radius), end) for end in ends]
     else:
-        _logger.warning("%s is not drawn: shapes of type %s are not known", shape.name, kind)
+        _logger.warning("%s is not drawn: shapes of type %s are not supported", shape.name, kind)
         return []
     geometry.computeLocalAABB()
     box = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
@@ -179,9 +179,9 @@ def _part(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
 
 
 def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
-    """Return the meshes of a file, each in its own colour unless the URDF gives one.
+    """Return the meshes of a file, in their own colours unless the URDF gives one.
 
-    The file is read again: Pinocchio keeps no colours, and its triangles of some Collada files are wrong ones.
+    The file is read again: Pinocchio drops colours, and reads wrong triangles from some Collada files.
     """
     parts = []
     for number, mesh in enumerate(read_meshes(shape.meshPath)):
@@ -195,7 +195,7 @@ def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
 
 
 def _coarsened(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Join vertices of a fine mesh that are within a cell, too near to be told apart in the page."""
+    """Merge vertices of a fine mesh within a cell, which are indistinguishable in the page."""
     if len(faces) < _FINE:
         return vertices, faces
     for parts in _CELLS:
@@ -209,7 +209,7 @@ def _coarsened(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArra
 
 
 def _own_colour(mesh: Any) -> tuple[float, float, float, float]:
-    """Return the main colour of a mesh's material; grey where it has none."""
+    """Return the main colour of a mesh's material; grey if it has none."""
     if mesh.visual.kind is None:
         return _GREY
     painted = mesh.visual.material if mesh.visual.kind == "texture" else mesh.visual
@@ -226,7 +226,7 @@ def _name(shape: pin.GeometryObject) -> str:
 
 
 def _corners(box: Array, placement: Array) -> Array:
-    """Return the corners of a box of least and greatest coordinates, moved by a placement, shape=(8, 3)."""
+    """Return the corners of a box given by least and greatest coordinates, moved by a placement, shape=(8, 3)."""
     return _moved(np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3), placement)
 
 
@@ -236,7 +236,7 @@ def _moved(points: Array, placement: Array) -> Array:
 
 
 def _stick_figure(mechanism: Mechanism) -> tuple[Body, ...]:
-    """Balls at the joints and rods between them, to the closures' and the tool's frames too; what stands still thin."""
+    """Balls at the joints, and rods between them and to the frames of closures and tool; fixed parts are thin."""
     model = mechanism.model
     size = mechanism.characteristic_length
     bodies = [Body(name, joint, np.eye(4)) for joint, name in enumerate(model.names)]

@@ -1,6 +1,6 @@
-"""A browser without a window, to photograph a page and to look into it.
+"""A headless browser, to take pictures of a page and to inspect it.
 
-Chromium or Chrome is started with the DevTools protocol on two pipes: no port is opened and no driver needed.
+Chromium or Chrome runs with the DevTools protocol on two pipes: no port is opened and no driver needed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable
 _FLAGS = (
     "--headless=new",
     "--remote-debugging-pipe",
-    "--use-angle=swiftshader",  # pictures without a graphics card, the same everywhere
+    "--use-angle=swiftshader",  # pictures without a graphics card, identical everywhere
     "--enable-unsafe-swiftshader",
     "--hide-scrollbars",
     "--disable-dev-shm-usage",
@@ -42,8 +42,8 @@ _FLAGS = (
     "--no-first-run",
     "--no-pings",
 )
-# The browser reads commands on its descriptor 3 and answers on 4. Both pipes are moved out of the way first: they may
-# have come as 4 and 3 themselves.
+# The browser reads commands on descriptor 3 and answers on 4. Both pipes are moved out of the way first: they may be 4
+# and 3 themselves.
 _LAUNCHER = """
 import fcntl, os, sys
 commands, messages = (fcntl.fcntl(int(text), fcntl.F_DUPFD, 10) for text in sys.argv[1:3])
@@ -51,11 +51,11 @@ os.dup2(commands, 3)
 os.dup2(messages, 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
-_TIMEOUT = 60.0  # for one answer [s]
+_TIMEOUT = 60.0  # per answer [s]
 
 
 def find_browser() -> Path:
-    """Return Chromium, Chrome or Edge, of PM3DOF_BROWSER or the search path; BrowserError where there is none."""
+    """Return Chromium, Chrome or Edge, from PM3DOF_BROWSER or the search path; BrowserError if there is none."""
     if named := os.environ.get(VARIABLE):
         path = shutil.which(named)
         if path is None:
@@ -68,9 +68,9 @@ def find_browser() -> Path:
 
 
 def pictures_of(html: str, width: int, height: int, *, around: int = 0) -> list[bytes]:
-    """Return a picture (PNG) of a page of this package, size in pixels; BrowserError where no browser can draw it.
+    """Return a picture (PNG) of a page of this package, size in pixels; BrowserError if no browser can draw it.
 
-    Or so many pictures without the panel, the camera turning once `around` the machine.
+    With `around`, return this many pictures without the panel, from a camera that circles the machine once.
     """
     with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, Browser(width, height) as browser:
         file = Path(folder) / "page.html"
@@ -87,7 +87,7 @@ def pictures_of(html: str, width: int, height: int, *, around: int = 0) -> list[
 
 
 class Browser:
-    """A browser without a window, showing one page; ends with its `with` block. BrowserError where none starts."""
+    """A headless browser with one page; ends with its `with` block. BrowserError if none starts."""
 
     def __init__(self, width: int = 1200, height: int = 900) -> None:
         self._size = {"width": width, "height": height}
@@ -109,12 +109,12 @@ class Browser:
             raise
 
     def resize(self, width: int, height: int) -> None:
-        """Give the page another size [pixels]."""
+        """Resize the page [pixels]."""
         size = {"width": width, "height": height}
         self.ask("Emulation.setDeviceMetricsOverride", {**size, "deviceScaleFactor": 1, "mobile": False})
 
     def open(self, url: str) -> None:
-        """Show a page and wait until it has loaded and drawn; BrowserError where it does not load."""
+        """Open a page and wait until it has loaded and drawn; BrowserError if it does not load."""
         self._events.clear()
         error = self.ask("Page.navigate", {"url": url}).get("errorText")
         if error:
@@ -123,11 +123,11 @@ class Browser:
         self.settle()
 
     def settle(self) -> None:
-        """Wait until the page has drawn what it was told last."""
+        """Wait until the page has drawn all changes."""
         self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))")
 
     def evaluate(self, expression: str) -> Any:
-        """Return the value of a JavaScript expression in the page, awaiting promises; BrowserError where it throws."""
+        """Return the value of a JavaScript expression in the page, awaiting promises; BrowserError if it throws."""
         parameters = {"expression": expression, "returnByValue": True, "awaitPromise": True}
         answer = self.ask("Runtime.evaluate", parameters)
         if "exceptionDetails" in answer:
@@ -136,7 +136,7 @@ class Browser:
         return answer["result"].get("value")
 
     def picture(self) -> bytes:
-        """Return a picture (PNG) of the page as it looks now."""
+        """Return a picture (PNG) of the page in its current state."""
         self.settle()
         return base64.b64decode(self.ask("Page.captureScreenshot", {"format": "png"})["data"])
 
@@ -167,7 +167,7 @@ class Browser:
         command = [str(executable), *_FLAGS, f"--user-data-dir={self._folder.name}"]
         command += [f"--window-size={self._size['width']},{self._size['height']}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
-            command.append("--no-sandbox")  # as root it does not start with it
+            command.append("--no-sandbox")  # as root it does not start with a sandbox
         read_commands, write_commands = os.pipe()
         read_messages, write_messages = os.pipe()
         pipes = [str(read_commands), str(write_messages)]
@@ -177,7 +177,7 @@ class Browser:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for us; the browser is ended in good order
+            start_new_session=True,  # Ctrl-C is for this process, which then closes the browser properly
         )
         os.close(read_commands)
         os.close(write_messages)
@@ -187,7 +187,7 @@ class Browser:
         self._reader.start()
 
     def _read(self) -> None:
-        """Take messages, each ended by a zero byte, until the browser is gone."""
+        """Receive messages, each ended by a zero byte, until the browser ends."""
         rest = b""
         while data := self._messages.read(65536):
             *whole, rest = (rest + data).split(b"\0")
@@ -200,11 +200,11 @@ class Browser:
         self._answers.put({"gone": True})
 
     def hear(self, event: Json) -> None:
-        """Keep what the page reports of itself."""
+        """Record an event from the page."""
         self._events.append(event)
 
     def ask(self, method: str, parameters: Json | None = None) -> Json:
-        """Return the answer to a command of the DevTools protocol; BrowserError where it is an error, or none comes."""
+        """Return the answer to a command of the DevTools protocol; BrowserError if it is an error or missing."""
         number = next(self._numbers)
         message: Json = {"id": number, "method": method, "params": parameters or {}}
         if self._session:
@@ -220,7 +220,7 @@ class Browser:
                 raise BrowserError(f"the browser did not answer {method} within {_TIMEOUT:g} s") from error
             if "gone" in message:
                 self._answers.put(message)
-                raise BrowserError("the browser has ended: it may not start on this machine")
+                raise BrowserError("the browser has ended: it may be unable to run on this machine")
             if message["id"] == number:
                 if "error" in message:
                     raise BrowserError(f"{method}: {message['error']['message']}")
@@ -236,7 +236,7 @@ class Browser:
 
 
 def _remove(folder: tempfile.TemporaryDirectory[str]) -> None:
-    """Remove the browser's folder, in which its last processes may still write for a moment."""
+    """Remove the browser's folder, to which its last processes may still write for a moment."""
     for _ in range(50):
         try:
             folder.cleanup()

@@ -1,13 +1,13 @@
-"""Scales of colour, as stops between which the page and Python interpolate in the same way."""
+"""Colour scales, as stops that the page and Python interpolate identically."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# viridis of matplotlib at nine places: even in lightness, readable without colour vision.
+# matplotlib's viridis at nine places: perceptually uniform, readable without colour vision
 INDEX_STOPS = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
-# from next to nothing, pale, to all of it, dark
+# from almost nothing, pale, to everything, dark
 SHARE_STOPS = ("#e9ecef", "#f6d98b", "#f29f4b", "#d9542b", "#9b1c31", "#5c0f2b")
 
 
@@ -23,6 +23,6 @@ def blend(colours: tuple[str, ...], places: ArrayLike) -> NDArray[np.float64]:
 
 
 def css(colour: ArrayLike) -> str:
-    """Return a colour, shape=(3,), as the page's style sheet writes it."""
+    """Return a colour, shape=(3,), in CSS notation."""
     red, green, blue = (round(255.0 * part) for part in np.asarray(colour, dtype=float))
     return f"rgb({red}, {green}, {blue})"

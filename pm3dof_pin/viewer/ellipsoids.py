@@ -1,9 +1,9 @@
-"""Ellipsoids at the tool: which block they show, how long their axes are drawn.
+"""Ellipsoids at the tool: the block they show, and the drawn length of their axes.
 
 The ellipsoid of a symmetric 3 x 3 block has its principal directions as axes and its principal values, times a scale,
-as semi-axes. For a compliance block that is where unit forces in all directions take the tool; for a stiffness block,
-the forces that unit displacements need. Velocity and force ellipsoids (T. Yoshikawa, Manipulability of robotic
-mechanisms, 1985) are what commands whose rates, or forces, have unit norm together do at the tool; the error ellipsoid
+as semi-axes. For a compliance block it shows the displacements under unit forces in all directions; for a stiffness
+block, the forces for unit displacements. Velocity and force ellipsoids (T. Yoshikawa, Manipulability of robotic
+mechanisms, 1985) show the effect at the tool of command rates, or actuator forces, of unit norm; the error ellipsoid
 has the standard deviations of the tool's pose for the tolerances of its parts.
 """
 
@@ -48,22 +48,22 @@ EXPLANATIONS: dict[MotionQuantity, str] = {
     "force": "actuator forces of unit size together",
     "error": "standard deviation for the tolerances",
 }
-"""What velocity, force and error ellipsoids show."""
+"""Explanations of velocity, force and error ellipsoids."""
 
 COLOURS: dict[Motion, tuple[float, float, float]] = {"translation": (0.33, 0.20, 0.72), "rotation": (0.86, 0.24, 0.44)}
 
 
-_LEAST = 1e-6  # of the longest semi-axis
+_LEAST = 1e-6  # relative to the longest semi-axis
 _OPACITY: dict[Motion, float] = {"translation": 0.24, "rotation": 0.14}
 _RING_POINTS = 72
-_RIGID = 1e-7  # of the greatest velocity: roots of rounding are smaller
+_RIGID = 1e-7  # relative to the greatest velocity: roots of rounding errors are smaller
 
 
 @dataclass(frozen=True)
 class DrawnEllipsoid:
-    """A drawn ellipsoid: principal values, the least first, and their directions as columns of a right-handed frame.
+    """A drawn ellipsoid: ascending principal values, and their directions as columns of a right-handed frame.
 
-    `scale` is the length of a semi-axis for a value of 1 [m per unit].
+    `scale` is the length of a semi-axis of value 1 [m per unit].
     """
 
     values: Array
@@ -74,7 +74,7 @@ class DrawnEllipsoid:
 
     @classmethod
     def of(cls, matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str) -> DrawnEllipsoid:
-        """Return the ellipsoid of a 3 x 3 block at a point [m]; InvalidValueError for a scale that is not positive."""
+        """Return the ellipsoid of a 3 x 3 block at a point [m]; InvalidValueError unless the scale is positive."""
         if not (math.isfinite(scale) and scale > 0.0):
             raise InvalidValueError("scale", scale, "a positive length for one unit")
         principal = indices.principal_axes(matrix)
@@ -82,9 +82,9 @@ class DrawnEllipsoid:
 
     @property
     def transform(self) -> Array:
-        """What makes a unit sphere this ellipsoid, shape=(4, 4)."""
+        """Transform from the unit sphere to this ellipsoid, shape=(4, 4)."""
         lengths = self.scale * np.abs(self.values)
-        # a length of zero, as of a rigid direction, would leave no axes
+        # a zero length, as of a rigid direction, would leave no axes
         return objects.transform(self.axes * np.maximum(lengths, _LEAST * lengths.max()), self.position)
 
 
@@ -97,9 +97,9 @@ def block(
     K_ff and inv(K_ff) with them held.
 
     Raises:
-        InvalidValueError: neither or both of K and C are given, one is not finite or no 6 x 6 matrix, or an unknown
-            choice.
-        SingularConfigurationError: the block does not exist, some motion being free or held rigidly.
+        InvalidValueError: neither or both of K and C are given, the matrix is not finite or not 6 x 6, or a choice is
+            unknown.
+        SingularConfigurationError: the block does not exist, since some motion is free or rigid.
     """
     for word, given_word, known in (
         ("kind", kind, Motion),
@@ -120,18 +120,18 @@ def block(
     if of != submatrix_of:
         result = inverse_definite(result)
     if not np.all(np.isfinite(result)):
-        raise SingularConfigurationError(f"no {of} ellipsoid of {kind}: some motion is free, or held rigidly")
+        raise SingularConfigurationError(f"no {of} ellipsoid of {kind}: some motion is free or rigid")
     return result
 
 
 def motion_block(motions: ArrayLike, kind: Motion, of: MotionQuantity) -> Array:
     """Return the root of M M^T, or its inverse for a force, shape=(3, 3), in the unit of :data:`UNITS`.
 
-    M holds the twists [v; omega] of the tool for one unit of each command, or one standard deviation of each error,
-    shape=(6, n).
+    M, shape=(6, n), has the twists [v; omega] of the tool for one unit of each command, or one standard deviation of
+    each error.
 
     Raises:
-        SingularConfigurationError: a force ellipsoid where commands do not move the tool in some direction.
+        SingularConfigurationError: for a force ellipsoid, if commands do not move the tool in some direction.
     """
     rows = slice(0, 3) if kind == "translation" else slice(3, 6)
     columns = np.asarray(motions, dtype=float)[rows]
@@ -146,9 +146,9 @@ def motion_block(motions: ArrayLike, kind: Motion, of: MotionQuantity) -> Array:
 
 
 def draw_ellipsoid(scene: Scene, path: str, kind: Motion) -> None:
-    """Put a unit sphere with axes and rings at a path; :attr:`DrawnEllipsoid.transform` makes it an ellipsoid.
+    """Draw a unit sphere with axes and rings at a path; :attr:`DrawnEllipsoid.transform` makes it an ellipsoid.
 
-    The surface is faint, so that it never hides the machine; the rings in its principal planes show its shape.
+    The surface is faint, so as not to hide the machine; rings in its principal planes show its shape.
     """
     colour = COLOURS[kind]
     surface = objects.mesh(objects.sphere(1.0), colour, opacity=_OPACITY[kind])
@@ -162,7 +162,7 @@ def draw_ellipsoid(scene: Scene, path: str, kind: Motion) -> None:
 
 
 def round_scale(greatest: float, length: float) -> float:
-    """Return a scale [m per unit] that draws the greatest value within a length [m], which is 1, 2 or 5 10^n units."""
+    """Return a scale [m per unit] at which a length [m] is 1, 2 or 5 times 10^n units, at least the greatest value."""
     if greatest <= 0.0:
         return length
     power = 10.0 ** math.floor(math.log10(greatest))
@@ -171,6 +171,6 @@ def round_scale(greatest: float, length: float) -> float:
 
 
 def round_length(size: float) -> float:
-    """Return the greatest of the lengths 1, 2, 5 times 10^n that is no longer than a size [m]."""
+    """Return the greatest of the lengths 1, 2 or 5 times 10^n not exceeding a size [m]."""
     power = 10.0 ** math.floor(math.log10(size))
     return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= size * (1.0 + 1e-9))

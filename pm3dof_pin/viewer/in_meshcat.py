@@ -1,4 +1,4 @@
-"""Robots drawn into a `meshcat.Visualizer` that the user has already, as users of Pinocchio's MeshcatVisualizer do."""
+"""Robots drawn into an existing `meshcat.Visualizer`, as with Pinocchio's MeshcatVisualizer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix
 from pm3dof_pin.viewer.scene import TYPED_ARRAYS, Message
 from pm3dof_pin.viewer.viewer import Viewer
 
-_OWN = ("/robot", "/ellipsoids", "/forces")  # background, floor and light are the user's
+_OWN = ("/robot", "/ellipsoids", "/forces")  # background, floor and light belong to the user
 
 
 def draw_in_meshcat(
@@ -25,12 +25,12 @@ def draw_in_meshcat(
 ) -> Viewer:
     """Draw a robot, its pose and its ellipsoids at the tool (unless `of` is None) into a `meshcat.Visualizer`.
 
-    A second call with another configuration replaces the first drawing. What is drawn with the viewer that is returned
-    is drawn here too, which is quicker.
+    A second call with another configuration replaces the first drawing. Drawing with the returned viewer also draws
+    here, and is faster.
 
     Raises:
-        InvalidValueError: the configuration is of a mechanism that is not a robot.
-        DescriptionError: see :class:`Viewer`.
+        InvalidValueError: the configuration's mechanism is not a robot.
+        DescriptionError: as :class:`Viewer`.
     """
     robot = configuration.mechanism
     if not isinstance(robot, Robot):
@@ -47,7 +47,7 @@ def draw_in_meshcat(
             except SingularConfigurationError:
                 continue
     for kind in MOTIONS:
-        if kind not in drawn:  # of an earlier call
+        if kind not in drawn:  # from an earlier call
             visualizer["ellipsoids"][kind].delete()
 
     def hear(message: Message) -> None:
@@ -60,26 +60,26 @@ def draw_in_meshcat(
 
 
 class _Command:
-    """A command of a scene as meshcat's package sends it."""
+    """A command of a scene, in the form meshcat's package sends."""
 
     def __init__(self, command: Message, root: str) -> None:
         self._command = command
         self._root = root.rstrip("/")
 
     def lower(self) -> Message:
-        """Return what is packed and sent."""
+        """Return the data to be packed and sent."""
         lowered: Message = _packed(self._command)
         return {**lowered, "path": self._root + self._command["path"]}
 
 
 def _packed(value: Any) -> Any:
-    """Turn arrays that are written as base64 into those of msgpack."""
+    """Convert arrays in base64 into those of msgpack."""
     import umsgpack
 
     if isinstance(value, dict):
         if "base64" in value:
             kind, data = value["typed_array"], base64.b64decode(value["base64"])
-            if kind == "Uint16Array":  # which meshcat's messages do not know
+            if kind == "Uint16Array":  # not supported by meshcat's messages
                 kind, data = "Uint32Array", np.frombuffer(data, dtype=np.uint16).astype(np.uint32).tobytes()
             codes = {name: code for code, name in TYPED_ARRAYS.items()}
             return umsgpack.Ext(codes[kind], data)

@@ -1,4 +1,4 @@
-"""Names in the scene: of points that move with their bodies, and of the lengths and angles of the schematic."""
+"""Labels in the scene: names of points that move with their bodies, and lengths and angles of the schematic."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from pm3dof_pin.viewer.scene import Json
 _POINT = re.compile(r"([A-Z])_?(\w{0,2})")  # names of points: B1, D_2, O_e, P
 _INK, _MEASURE = "#111111", "#B03A2E"
 _DPI = 200
-_LONG = 12  # signs
-_LEG = ("B3", "D3", "E3")  # in front, as the camera stands
+_LONG = 12  # characters
+_LEG = ("B3", "D3", "E3")  # the one in front of the camera
 _SAME = 1e-9  # [m]
 
 
 def point_names(configuration: Configuration) -> dict[str, str]:
-    """Return the frames that are points with a short name, and the tool's, with their mathematical text.
+    """Return the frames with short point names, and the tool's, with their mathematical text.
 
-    Several at one place have one text: O_e = P.
+    Several at one place share a text: O_e = P.
     """
     mechanism = configuration.mechanism
     names = [frame.name for frame in mechanism.model.frames if _POINT.fullmatch(frame.name)]
@@ -44,7 +44,7 @@ def point_names(configuration: Configuration) -> dict[str, str]:
 
 
 def measures(configuration: Configuration) -> dict[str, tuple[str, Array]]:
-    """Return frame and place, base axes [m], of the lengths and angles of Fig. 8.1b at one leg, by symbol."""
+    """Return frame and position, base axes [m], of the lengths and angles of Fig. 8.1b at one leg, by symbol."""
     try:
         b, d, e, tool = (configuration.frame_placement(name).translation for name in (*_LEG, "O_e"))
     except FrameNotFoundError:
@@ -74,7 +74,7 @@ def _in_symbols(name: str) -> str:
 
 
 def label(text: str, height: float, *, measure: bool = False) -> Json:
-    """Return mathematical text as a picture of a height [m] at the origin, facing the reader, never hidden."""
+    """Return mathematical text as a picture of a height [m] at the origin, facing the camera, never hidden."""
     picture, shape = _picture(text, _MEASURE if measure else _INK)
     sprite = objects.sprite(picture)
     sprite["object"]["matrix"] = np.diag([height * shape[1] / shape[0], height, 1.0, 1.0]).ravel().tolist()
@@ -82,7 +82,7 @@ def label(text: str, height: float, *, measure: bool = False) -> Json:
 
 
 def _picture(text: str, color: str) -> tuple[str, Sequence[int]]:
-    """Return the address of a picture with a text, its data in it, and its height and width."""
+    """Return a picture of a text as a data URL, and its height and width."""
     from matplotlib.patheffects import withStroke
 
     from pm3dof_pin.figures.style import house_style, new_figure

@@ -1,4 +1,4 @@
-"""Numbers at points of a picture: quantities of the maps that are one number at a pose, and their places on a scale."""
+"""Numbers at points of a picture: scalar quantities of the maps, and their places on a colour scale."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pm3dof_pin.maps.labels import unit_of_entry
 from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
 from pm3dof_pin.typing import Array
 
-_WIDE = 20.0  # ratio of greatest to least value from which on a scale is logarithmic
+_WIDE = 20.0  # ratio of greatest to least value from which a scale is logarithmic
 _OTHERS = (
     "translational_stiffness:least",
     "rotational_stiffness:least",
@@ -24,7 +24,7 @@ _OTHERS = (
 
 @dataclass(frozen=True)
 class Layer:
-    """One quantity at n points: values, shape=(n,), a short name to choose it by, title and unit."""
+    """One quantity at n points: values, shape=(n,), a short name to select it, title and unit."""
 
     values: Array
     name: str
@@ -33,13 +33,13 @@ class Layer:
 
     @property
     def logarithmic(self) -> bool:
-        """Whether the values are better told apart on a logarithmic scale: positive, and far from each other."""
+        """Whether a logarithmic scale is better: for positive values of a wide range."""
         low, high = float(self.values.min()), float(self.values.max())
         return 0.0 < low * _WIDE < high
 
     @property
     def places(self) -> Array:
-        """Place of each value on the scale of colours from the least, 0, to the greatest, 1, shape=(n,)."""
+        """Place of each value on the colour scale from the least, 0, to the greatest, 1, shape=(n,)."""
         values = np.log(self.values) if self.logarithmic else self.values
         low, high = float(values.min()), float(values.max())
         places: Array = (values - low) / (high - low) if high > low else np.zeros_like(values)
@@ -48,7 +48,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class ScalarQuantity:
-    """One number at each pose: a quantity, or the entry of it at `index`."""
+    """One number per pose: a quantity, or its entry at `index`."""
 
     name: str
     index: int | None
@@ -57,12 +57,12 @@ class ScalarQuantity:
 
     @classmethod
     def find(cls, mapped: MappedRobot, text: str) -> ScalarQuantity:
-        """Find "name" or "name:entry" among the quantities of the maps; InvalidValueError unless it is one number."""
+        """Find "name" or "name:entry" among the quantities of the maps; InvalidValueError unless it is a scalar."""
         name, _, label = text.partition(":")
         (quantity,) = select_quantities([name], mapped)
         if not quantity.dims:
             if label:
-                raise InvalidValueError("quantity", text, f"'{name}' alone, which is one number")
+                raise InvalidValueError("quantity", text, f"'{name}' alone, which is a single number")
             return cls(name, None, quantity.long_name, quantity.unit_for(mapped))
         entries = quantity.dims[0].labels(mapped) if len(quantity.dims) == 1 else ()
         if label not in entries:
@@ -75,7 +75,7 @@ class ScalarQuantity:
 
     @staticmethod
     def names(mapped: MappedRobot) -> list[str]:
-        """Return every text that :meth:`find` takes."""
+        """Return all names that :meth:`find` accepts."""
         names = []
         for quantity in QUANTITIES.values():
             if not quantity.exists(mapped):
@@ -88,7 +88,7 @@ class ScalarQuantity:
 
     @classmethod
     def others(cls, mapped: MappedRobot, chosen: str) -> list[ScalarQuantity]:
-        """Return the quantities that a picture offers beside the chosen one: those of a robot that cost little."""
+        """Return the quantities that a picture offers in addition to the chosen one: the robot's inexpensive ones."""
         known = set(cls.names(mapped))
         return [cls.find(mapped, name) for name in _OTHERS if name in known and name != chosen]
 

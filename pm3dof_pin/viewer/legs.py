@@ -1,4 +1,4 @@
-"""Which drawn bodies belong to which springs and actuators: the colours of legs, and what the page says of a body."""
+"""The springs and actuators of drawn bodies: colours of legs, and the page's texts about bodies."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from pm3dof_pin.viewer.scene import Json
 
 
 def _spring_joint(mechanism: Robot, spring: Spring) -> int:
-    """Return the joint that moves the body a spring stands for.
+    """Return the joint that moves the body represented by a spring.
 
-    A joint spring stands for the body behind its joint, a spring before a frame or joint for the body that carries it,
-    one in a closure for the body of the closure's first frame.
+    A joint spring represents the body moved by its joint, a spring before a frame or joint the body that carries it,
+    one in a closure the body of the closure's first frame.
     """
     model = mechanism.model
     if isinstance(spring, JointSpring):
@@ -30,10 +30,10 @@ def _spring_joint(mechanism: Robot, spring: Spring) -> int:
 
 
 class ColouredLegs:
-    """Which springs colour each joint's body: those of its leg.
+    """The springs that colour each joint's body: those of its leg.
 
-    A leg is a branch of the tree, from the base to the last body with a spring, and all its bodies have all its
-    springs. A serial robot is one branch: there every body has its own.
+    A leg is a branch of the tree, from the base to the last body with a spring; all its bodies have all its springs. In
+    a serial robot, which is one branch, each body has its own.
     """
 
     def __init__(self, model: ElasticModel) -> None:
@@ -52,19 +52,19 @@ class ColouredLegs:
 
     @property
     def springs(self) -> list[tuple[str, ...]]:
-        """The names of the springs of each leg, in the order of the springs."""
+        """The names of the springs of each leg, in order of the springs."""
         return list(dict.fromkeys(self._of_joint.values()))
 
     def number(self, joint: int) -> int:
-        """Return the place in :attr:`springs` of the leg of a joint's body."""
+        """Return the index in :attr:`springs` of the leg of a joint's body."""
         return self.springs.index(self._of_joint[joint])
 
     def shares(self, shares: Mapping[str, float]) -> dict[int, float]:
-        """Return each body's share in a deflection, that of its leg, by joint, from the share of each spring."""
+        """Return the share of each body's leg in a deflection, by joint, from the share of each spring."""
         return {joint: sum(shares[name] for name in names) for joint, names in self._of_joint.items()}
 
     def paint(self, bodies: Iterable[Body], by_joint: Mapping[int, float]) -> list[Json]:
-        """Return what an entry paints: all drawn parts of legs in the colour of their share."""
+        """Return the parts that an entry paints: all drawn parts of legs in the colour of their share."""
         return [
             {
                 "path": f"{body.parts_path}/{part.name}",
@@ -79,7 +79,7 @@ class ColouredLegs:
 
 
 def _chain(mechanism: Robot, joint: int) -> list[int]:
-    """Return a joint and those that carry it, down to the base, which is left out."""
+    """Return a joint and its ancestors, without the base."""
     chain = []
     while joint > 0:
         chain.append(joint)
@@ -88,9 +88,9 @@ def _chain(mechanism: Robot, joint: int) -> list[int]:
 
 
 def about_body(robot: Robot, body: Body, springs: Iterable[Spring]) -> Json:
-    """Return what the page says of a body: its `name`, lines `about` it that hold in every pose, and its `actuator`.
+    """Return the page's text about a body: its `name`, lines `about` it valid in every pose, and its `actuator`.
 
-    The actuator is the place of the only one in the body's leg, or None. Springs are named that give at this body.
+    The actuator is the index of the only one in the body's leg, or None. The springs named are those of this body.
     """
     model = robot.model
     joint = body.joint
@@ -116,7 +116,7 @@ def _spring_text(spring: Spring) -> str:
 
 
 def _actuator(robot: Robot, joint: int) -> int | None:
-    """Return the only actuator in the branch of the tree that a joint belongs to, or the joint itself."""
+    """Return the only actuator in the branch of the tree of a joint, or the joint itself."""
     if not joint:
         return None
     model = robot.model

@@ -1,4 +1,4 @@
-"""Bodies as three.js reads them: boxes, cylinders, spheres, meshes, lines, with their materials."""
+"""Objects for three.js: boxes, cylinders, spheres, meshes, lines, with their materials."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _numbers = itertools.count()
 
 
 def box(lengths: ArrayLike) -> Json:
-    """Return a box with its middle at the origin, shape=(3,) [m]."""
+    """Return a box centred at the origin, shape=(3,) [m]."""
     width, height, depth = np.asarray(lengths, dtype=float).tolist()
     return {"type": "BoxGeometry", "width": width, "height": height, "depth": depth}
 
 
 def cylinder(radius: float, length: float, top_radius: float | None = None) -> Json:
-    """Return a cylinder, or a cone, along the y axis with its middle at the origin; :data:`Y_TO_Z` stands it up."""
+    """Return a cylinder or cone along the y axis, centred at the origin; :data:`Y_TO_Z` makes it upright."""
     top = radius if top_radius is None else top_radius
     return {
         "type": "CylinderGeometry",
@@ -35,7 +35,7 @@ def cylinder(radius: float, length: float, top_radius: float | None = None) -> J
 
 
 def sphere(radius: float) -> Json:
-    """Return a sphere around the origin."""
+    """Return a sphere centred at the origin."""
     return {"type": "SphereGeometry", "radius": radius, "widthSegments": 48, "heightSegments": 32}
 
 
@@ -50,20 +50,20 @@ def triangles(vertices: ArrayLike, faces: ArrayLike, colours: ArrayLike | None =
 
 
 def mesh(geometry: Json, colour: Colour, *, opacity: float = 1.0) -> Json:
-    """Return a body with a material; translucent if its opacity is below 1."""
-    # meshes of other people are not always wound one way, which smooth shading needs
+    """Return an object with a material, translucent if its opacity is below 1."""
+    # smooth shading needs consistent winding, which foreign meshes may lack
     flat = geometry["type"] == "BufferGeometry"
     return _lowered("Mesh", geometry, {**_matt(colour), "flatShading": flat, "side": 2, **_translucent(opacity)})
 
 
 def overlaid_mesh(geometry: Json, colour: Colour) -> Json:
-    """Return a body that is drawn over all others, not hidden by what it stands in."""
-    # opaque bodies are drawn first, so this one has to count as translucent
+    """Return an object drawn over all others, even if it is inside them."""
+    # opaque objects are drawn first, so this one must be translucent
     return _lowered("Mesh", geometry, {**_matt(colour), "depthTest": False, "transparent": True, "opacity": 0.999})
 
 
 def coloured_mesh(geometry: Json, *, opacity: float) -> Json:
-    """Return a surface in the colours of its vertices, which no light changes: they can be read off a scale."""
+    """Return a surface in the colours of its vertices, unaffected by light, so that they match a scale."""
     material = {"type": "MeshBasicMaterial", "color": 0xFFFFFF, "vertexColors": True, "side": 2}
     return _lowered("Mesh", geometry, {**material, **_translucent(opacity)})
 
@@ -76,7 +76,7 @@ def line_segments(points: ArrayLike, colour: Colour, *, opacity: float = 1.0) ->
 
 
 def points(positions: ArrayLike, colours: ArrayLike, size: float) -> Json:
-    """Return round points of a size [m], shape=(n, 3), each in its colour, shape=(n, 3)."""
+    """Return round points, shape=(n, 3), of a size [m], in individual colours, shape=(n, 3)."""
     attributes = {"position": _attribute(positions), "color": _attribute(colours)}
     geometry = {"type": "BufferGeometry", "data": {"attributes": attributes}}
     material = {"type": "PointsMaterial", "color": 0xFFFFFF, "vertexColors": True, "size": size}
@@ -84,7 +84,7 @@ def points(positions: ArrayLike, colours: ArrayLike, size: float) -> Json:
 
 
 def sprite(picture: str) -> Json:
-    """Return a picture, an address, on a square of unit size that faces the reader and is drawn over all bodies."""
+    """Return a picture, given by URL, on a unit square that faces the camera and is drawn over all objects."""
     name = f"o{next(_numbers)}"
     material = {"type": "SpriteMaterial", "color": 0xFFFFFF, "depthTest": False, "transparent": True}
     return {
@@ -97,7 +97,7 @@ def sprite(picture: str) -> Json:
 
 
 def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> NDArray[np.float64]:
-    """Return the homogeneous matrix of a linear map, shape=(3, 3), and a translation, shape=(3,), shape=(4, 4)."""
+    """Return the homogeneous matrix, shape=(4, 4), of a linear map, shape=(3, 3), and a translation, shape=(3,)."""
     matrix = np.eye(4)
     if rotation is not None:
         matrix[:3, :3] = rotation
@@ -107,7 +107,7 @@ def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None =
 
 
 def turn_z_to(direction: ArrayLike) -> NDArray[np.float64]:
-    """Return a rotation that takes the z axis to a direction, shape=(3, 3)."""
+    """Return a rotation from the z axis to a direction, shape=(3, 3)."""
     z = np.asarray(direction, dtype=float)
     z = z / np.linalg.norm(z)
     beside = np.eye(3)[int(np.argmin(np.abs(z)))]
@@ -144,12 +144,12 @@ def _attribute(values: ArrayLike) -> Json:
 
 
 def bytes_of(places: ArrayLike) -> Json:
-    """Return numbers between 0 and 1 in 255 steps, as the page reads them."""
+    """Return numbers between 0 and 1 in 255 steps, in the page's format."""
     return _typed(np.round(255.0 * np.asarray(places)).astype(np.uint8), "Uint8Array")
 
 
 def _typed(array: NDArray[Any], kind: str) -> Json:
-    """Numbers as base64, which the page turns into a typed array: a tenth of their size as digits."""
+    """Return numbers in base64, which the page turns into a typed array: a tenth of their size as digits."""
     return {"typed_array": kind, "base64": base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()}
 
 

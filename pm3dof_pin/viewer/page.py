@@ -1,4 +1,4 @@
-"""The page as one file of HTML: meshcat's program, the panel, the robot's programs, and all of the scene."""
+"""The page as one HTML file: meshcat's program, the panel, the robot's programs, and the whole scene."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _PARTS = ("ellipsoids", "workspace", "path", "pointer", "settings")
 
 
 def page_html(scene: Json, *, title: str, served: bool, programs: str = "") -> str:
-    """Return the page of a scene's snapshot with the programs of its sliders; a served page asks for changes."""
+    """Return the page of a scene's snapshot with the programs of its sliders; a served page listens for changes."""
     data = json.dumps(scene, separators=(",", ":"), allow_nan=False)
-    for sign in "<>&\u2028\u2029":  # "</script>" and "<!--" end or open what they should not, inside a string too
+    for sign in "<>&\u2028\u2029":  # "</script>" and "<!--" take effect even inside a string
         data = data.replace(sign, f"\\u{ord(sign):04x}")
     return Template(_asset("page.html")).substitute(
         title=escape(title),
@@ -41,7 +41,7 @@ def _asset(name: str) -> str:
 
 @lru_cache
 def _meshcat_file(name: str) -> str:
-    # found, not imported: the package would pull in IPython and its own servers
+    # located, not imported: the package would import IPython and its own servers
     specification = importlib.util.find_spec("meshcat")
     assert specification is not None
     assert specification.origin is not None

@@ -1,4 +1,4 @@
-"""The programs by which a page moves a robot without Python: traced from its model, printed as JavaScript."""
+"""Programs that move a robot in a page without Python: traced from its model, printed as JavaScript."""
 
 from __future__ import annotations
 
@@ -35,28 +35,28 @@ from pm3dof_pin.typing import Vector
 
 _logger = logging.getLogger(__name__)
 
-_MOST_OPERATIONS = 12_000  # of a program with errors; a longer one would make most of the page
+_MOST_OPERATIONS = 12_000  # of a program with errors; a longer one would dominate the page
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _PageProgram:
-    """A program with the values of its parameters."""
+    """A program with parameter values."""
 
     program: Program
     parameters: Vector
 
     def __call__(self, q: Vector) -> Vector:
-        """Return the outputs at one configuration, as the page computes them."""
+        """Return the outputs at one configuration, as computed by the page."""
         outputs: Vector = self.program.evaluate(q[None], self.parameters)[0]
         return outputs
 
 
 class PagePrograms:
-    """Everything that a page computes of a robot closed at home; None what there is no program for.
+    """Everything that a page computes for a robot closed at home; None where there is no program.
 
     - `place(q)`: placements of all joints, rotation and translation row by row, shape=(joints, 3, 4); of the tool; the
-      greatest closure error; square of the sine, and cosine, of every swing angle that has a limit.
-    - `close_coordinates`, `close_commands`: Newton's steps, see :func:`~pm3dof_pin.programs.closing.closing_program`.
+      greatest closure error; squared sine, and cosine, of each swing angle with a limit.
+    - `close_coordinates`, `close_commands`: Newton steps, see :func:`~pm3dof_pin.programs.closing.closing_program`.
     - `compliance(q)`: C at the tool, and 1 if nothing is in doubt, else 0.
     - `holding(q)`: actuator forces that hold the weight, and the least pivot, small near singular poses.
     - `motion(q)`: twists of the tool [v; omega] for one unit of each error, shape=(6, errors), then of each command,
@@ -64,7 +64,7 @@ class PagePrograms:
     - `sigmas`: standard deviation of each error of `motion` [m, rad].
 
     Raises:
-        ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
+        ProgramError: there is no program for the robot, or it disagrees with Pinocchio.
     """
 
     def __init__(self, robot: Robot, model: ElasticModel | None = None) -> None:
@@ -80,7 +80,7 @@ class PagePrograms:
 
     @cached_property
     def spring_lengths(self) -> list[dict[str, Any]]:
-        """Lengths that have to be positive for a compliance: q[index] + at_zero [m]."""
+        """Lengths that must be positive for a compliance: q[index] + at_zero [m]."""
         if self.compliance is None or self._model is None:
             return []
         lengths = [block.length for block in self._model.blocks if block.length is not None]
@@ -134,13 +134,13 @@ class PagePrograms:
         return None, np.empty(0)
 
     def _error_parameters(self) -> Iterator[GeometricErrors]:
-        """Return the errors that the robot's file declares, if there is one; then none."""
+        """Yield the errors declared by the robot's error file, if there is one; then no errors."""
         with contextlib.suppress(DescriptionError):
             yield declared_errors(self.robot)
         yield GeometricErrors(self.robot, [])
 
     def closing(self, name: str, coordinates: Sequence[Coordinate]) -> _PageProgram:
-        """Return Newton's step for given coordinates; those that are joints come before components of the tool."""
+        """Return the Newton step for given coordinates; joints come before components of the tool."""
         joints = tuple(coordinate.joint for coordinate in coordinates if coordinate.joint is not None)
         tool = tuple(coordinate.tool for coordinate in coordinates if coordinate.tool is not None)
         step = program_source(self.robot).step(self.robot, Task(joints, tool))
@@ -160,14 +160,14 @@ class PagePrograms:
         functions = [javascript(entry.program, entry.parameters) for entry in printed.values()]
         members = [f"{name}, {name}_size: {len(entry.program.results)}" for name, entry in printed.items()]
         if self.compliance is not None:
-            # its springs are changed by the page to tell their shares
+            # the page varies its springs to compute their shares
             functions.append(javascript(self.compliance.program))
             values = json.dumps(self.compliance.parameters.tolist())
             members.append(f"compliance, compliance_size: {len(self.compliance.program.results)}, springs: {values}")
         return "\n".join([*functions, f"const programs = {{ {', '.join(members)} }};"])
 
     def spring_places(self, names: Iterable[str]) -> list[int]:
-        """Return the places of some springs' numbers among the parameters of `compliance`."""
+        """Return the indices of springs' numbers among the parameters of `compliance`."""
         assert self.compliance is not None
         starts = tuple(f"spring/{spring}/U" for spring in names)
         return [k for k, name in enumerate(self.compliance.program.parameters) if name.startswith(starts)]
@@ -187,7 +187,7 @@ class PagePrograms:
 
 
 def declared_errors(robot: Robot) -> GeometricErrors:
-    """Return the errors of the robot's error file with which its loops close; DescriptionError without such a file."""
+    """Return the errors of the robot's error file that leave its loops closable; DescriptionError without a file."""
     if robot.files is None:
         raise DescriptionError(robot.source, "error file", "the robot was not read from a file")
     file = robot.files.errors
@@ -198,7 +198,7 @@ def declared_errors(robot: Robot) -> GeometricErrors:
 
 @lru_cache(maxsize=8)
 def programs_of(robot: Robot, model: ElasticModel | None = None) -> PagePrograms | None:
-    """Return the programs of a robot, traced once; None if there are none, which is logged."""
+    """Return the programs of a robot, traced once; None, with a warning, if there are none."""
     try:
         programs = PagePrograms(robot, model)
         _ = programs.source

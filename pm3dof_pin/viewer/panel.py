@@ -1,4 +1,4 @@
-"""The panel beside the picture: one entry for each thing that is drawn, with its scale and its numbers."""
+"""The panel next to the picture: an entry for each drawn item, with its scale and its numbers."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from pm3dof_pin.viewer.scene import Json
 
 @dataclass
 class Entry:
-    """One entry of the legend, with a box that shows or hides what it stands for."""
+    """An entry of the legend, with a checkbox that shows or hides its item."""
 
-    key: str  #: its name for the page
-    title: str  #: what is drawn
+    key: str  #: name in the page
+    title: str  #: title of the item
     lines: list[str] = field(default_factory=list)  #: scale and explanations
-    values: str = ""  #: the numbers that are drawn now
-    colour: str | None = None  #: colour of what is drawn, as the style sheet writes it, or None
-    bar: Json | None = None  #: a scale of colours: `colours` and `ends`, the texts at its ends
-    nodes: list[str] = field(default_factory=list)  #: paths that the box shows and hides
-    #: bodies that are coloured instead: `path`, `own` colour, `colour`, and `leg`, the place in live shares
+    values: str = ""  #: the numbers currently drawn
+    colour: str | None = None  #: colour of the item in CSS notation, or None
+    bar: Json | None = None  #: a colour scale: `colours`, and `ends`, the texts at its ends
+    nodes: list[str] = field(default_factory=list)  #: paths that the checkbox shows and hides
+    #: bodies that are coloured instead: `path`, `own` colour, `colour`, and `leg`, the index in live shares
     paint: list[Json] | None = None
-    visible: bool = True  #: whether it is shown until the reader decides otherwise
-    of_pose: bool = True  #: whether it was computed for the displayed configuration, and is wrong at any other
-    live: Json | None = None  #: how the page computes it for a slider's pose, or None
-    principal: list[float] | None = None  #: numbers at the ends of an ellipsoid's axes, the least first, or None
+    visible: bool = True  #: whether it is shown initially
+    of_pose: bool = True  #: whether it was computed for the displayed configuration, and is invalid at any other
+    live: Json | None = None  #: how the page computes it for the sliders' pose, or None
+    principal: list[float] | None = None  #: numbers at the ends of an ellipsoid's axes, ascending, or None
     unit: str = ""  #: their unit
-    #: what a plane cuts: the `nodes`, least and greatest `corners` of a box around them [m]; and the `layers` of
-    #: numbers that may colour the nodes in `colours`, one after the other, along the scale `stops`
+    #: what a plane cuts: the `nodes`, and least and greatest `corners` of a box around them [m]; and the `layers` of
+    #: numbers that can colour the nodes in `colours`, in order, by the scale `stops`
     cut: Json | None = None
 
     def lowered(self) -> Json:
-        """Return the entry as the page reads it."""
+        """Return the entry in the page's format."""
         return dict(vars(self))
 
 
-_ROUNDING = 1e-12  # of the greatest number: those below it are what is left of zero
-_SMALL = 1e-3  # of the greatest number: those below it have a prefix of their own
+_ROUNDING = 1e-12  # relative to the greatest number: smaller ones are rounding errors
+_SMALL = 1e-3  # relative to the greatest number: smaller ones have their own prefix
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
 def numbers_with_unit(values: ArrayLike, unit: str, *, digits: int = 3) -> str:
-    """Write numbers as a person does, and as the page: 64.7 · 429 kN/m, with one prefix where it suits all."""
+    """Format numbers as in the page: 64.7 · 429 kN/m, with a common prefix if it suits all."""
     numbers = [float(value) for value in np.asarray(values, dtype=float)]
     greatest = max(map(abs, numbers), default=0.0)
     numbers = [0.0 if abs(number) < _ROUNDING * greatest else number for number in numbers]
@@ -58,7 +58,7 @@ def numbers_with_unit(values: ArrayLike, unit: str, *, digits: int = 3) -> str:
 
 
 def numbers_with_units(values: ArrayLike, units: Sequence[str]) -> str:
-    """Write numbers of which each has a unit of its own, together where all have the same."""
+    """Format numbers with individual units, together if all are the same."""
     if len(set(units)) == 1:
         return numbers_with_unit(values, units[0])
     each = zip(np.asarray(values, dtype=float), units, strict=True)
@@ -66,7 +66,7 @@ def numbers_with_units(values: ArrayLike, units: Sequence[str]) -> str:
 
 
 def _power(number: float) -> int:
-    """Return the power of ten of a number's prefix."""
+    """Return the power of ten of a number's SI prefix."""
     size = abs(number)
     if not 0.0 < size < math.inf:
         return 0
@@ -74,5 +74,5 @@ def _power(number: float) -> int:
 
 
 def scale_text(scale: float, length: float, unit: str, what: str) -> str:
-    """Say what a drawn length stands for, as in "semi-axis of 100 mm = 200 MN/m"."""
+    """Describe the scale of a drawn length, as in "semi-axis of 100 mm = 200 MN/m"."""
     return f"{what} of {1000.0 * length:g} mm = {numbers_with_unit([length / scale], unit, digits=4)}"

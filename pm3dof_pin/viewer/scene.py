@@ -1,8 +1,8 @@
-"""What is in the picture: a tree of objects, kept as commands of meshcat's page, and the panel beside it.
+"""The scene: a tree of objects, stored as commands of meshcat's page, and the panel next to it.
 
-meshcat's page (three.js) understands commands such as "set the transform of /robot/platform". Its own Python side sends
-them over two more servers, of which one listens on every network interface. Here the commands are kept in a tree, from
-which a page can be written at any time, and are handed on to whoever listens; the page of this package feeds them to
+meshcat's page (three.js) understands commands such as "set the transform of /robot/platform". Its own Python package
+sends them through two more servers, one of which listens on every network interface. Here the commands are stored in a
+tree, from which a page can be written at any time, and passed on to listeners; the page of this package feeds them to
 meshcat's page as JSON.
 """
 
@@ -21,10 +21,10 @@ Json = dict[str, Any]
 Message = dict[str, Any]
 Listener = Callable[[Message], None]
 
-OBJECT = "<object>"  # meshcat's name of the thing itself under a path, beside the paths that go on below it
+OBJECT = "<object>"  # meshcat's name of the object itself at a path, among its child paths
 
 TYPED_ARRAYS = {0x12: "Uint8Array", 0x15: "Int32Array", 0x16: "Uint32Array", 0x17: "Float32Array"}
-"""Names of arrays by the codes of msgpack that meshcat's package gives them."""
+"""Names of array types by meshcat's msgpack codes."""
 
 
 @dataclass
@@ -35,7 +35,7 @@ class _Node:
 
 
 class Scene:
-    """A tree of objects with transforms and properties, an animation, and the data of the panel; thread-safe.
+    """A tree of objects with transforms and properties, an animation, and the panel data; thread-safe.
 
     Paths are slash-separated names, as in "/robot/platform".
     """
@@ -48,7 +48,7 @@ class Scene:
         self.panel: Json = {}
 
     def set_object(self, path: str, lowered: Json, *, casts_shadow: bool = True) -> None:
-        """Put an object of :mod:`pm3dof_pin.viewer.objects` at a path; without a shadow if it is translucent."""
+        """Set an object of :mod:`pm3dof_pin.viewer.objects` at a path; translucent ones cast no shadow."""
         self._apply({"type": "set_object", "path": path, "object": lowered})
         if not casts_shadow:
             self.set_property(path, "castShadow", False)
@@ -59,7 +59,7 @@ class Scene:
         self._apply({"type": "set_transform", "path": path, "matrix": column_major(matrix)})
 
     def set_transforms(self, matrices: Mapping[str, ArrayLike]) -> None:
-        """Set several transforms in one step, so that no picture shows half of them."""
+        """Set several transforms in one step, so that no picture shows only some of them."""
         commands = [
             {"type": "set_transform", "path": path, "matrix": column_major(matrix)} for path, matrix in matrices.items()
         ]
@@ -75,7 +75,7 @@ class Scene:
         self.set_property(path, "visible", visible, of_object=False)
 
     def set_colour(self, path: str, colour: Iterable[float]) -> None:
-        """Colour every object at and below a path: red, green, blue, opacity in 0 .. 1."""
+        """Colour all objects at and below a path: red, green, blue, opacity in 0 .. 1."""
         self.set_property(path, "color", list(colour), of_object=False)
 
     def delete(self, path: str) -> None:
@@ -95,28 +95,28 @@ class Scene:
             self._publish({"commands": [stop]})
 
     def set_panel(self, panel: Json) -> None:
-        """Replace the data of the panel beside the picture."""
+        """Replace the panel data."""
         with self._lock:
             self.panel = panel
             self._publish({"panel": panel})
 
     def send(self, command: Any) -> None:
-        """Take a command of meshcat's Python package: with this a `meshcat.Visualizer(window=scene)` draws here."""
+        """Accept a command of meshcat's Python package, so that a `meshcat.Visualizer(window=scene)` draws here."""
         self._apply(_plain(command.lower()))
 
     def listen(self, listener: Listener) -> Message:
-        """Hand every later change to a listener, in the thread that makes it; return a message with all there is."""
+        """Pass later changes to a listener, in the thread that makes them; return a message with the current scene."""
         with self._lock:
             self._listeners.append(listener)
             return self.snapshot()
 
     def forget(self, listener: Listener) -> None:
-        """Hand nothing more to a listener; one that is not known is no error."""
+        """Remove a listener; an unknown one is ignored."""
         with self._lock:
             self._listeners = [other for other in self._listeners if other != listener]
 
     def snapshot(self) -> Message:
-        """Return one message that makes an empty page show all there is."""
+        """Return a message that makes an empty page show the whole scene."""
         with self._lock:
             commands: list[Json] = []
             for node in self._nodes.values():
@@ -128,7 +128,7 @@ class Scene:
             return {"commands": commands, "panel": self.panel}
 
     def paths(self) -> tuple[str, ...]:
-        """Return the paths that hold an object."""
+        """Return the paths with an object."""
         with self._lock:
             return tuple(path for path, node in self._nodes.items() if node.object is not None)
 
@@ -160,7 +160,7 @@ class Scene:
         elif kind == "set_transform":
             node.transform = command
         elif kind == "set_property":
-            # what was said last comes last, as colours of a group and of a part of it may both have been set
+            # the latest comes last, since colours of a group and of part of it may both be set
             node.properties.pop((target, command["property"]), None)
             node.properties[target, command["property"]] = command
 
@@ -180,7 +180,7 @@ def _tidy(path: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Turn what meshcat's Python package lowers to into JSON: arrays packed for msgpack become base64."""
+    """Convert commands of meshcat's Python package into JSON: arrays packed for msgpack become base64."""
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""A small server for the page: on the loopback interface, unless it is told otherwise."""
+"""A small server for the page, on the loopback interface by default."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _PORTS_TRIED = 100
 
 
 class SceneServer:
-    """Serves a page at "/" and sends every change of a scene to the browsers that show it.
+    """Serves a page at "/" and sends all changes of a scene to the browsers that show it.
 
     Raises:
-        ServerError: the port is taken, or the host is no address of this machine.
+        ServerError: the port is in use, or the host is not an address of this machine.
     """
 
     def __init__(self, scene: Scene, page: Callable[[], str], host: str, port: int | None) -> None:
@@ -82,7 +82,7 @@ class SceneServer:
 
 
 class _OwnAddressOnly(RequestHandler):
-    """Answers only requests that were made to this machine by a name of its own, against DNS rebinding."""
+    """Answers only requests made by a name of this machine, against DNS rebinding."""
 
     def prepare(self) -> None:
         """Refuse requests to other names, and from pages of other origins."""
@@ -108,7 +108,7 @@ class _Page(_OwnAddressOnly):
         self._page = page
 
     def get(self) -> None:
-        """Send the page; it is never kept by the browser, as the next one may show another machine."""
+        """Send the page; browsers do not cache it, since the next one may show another machine."""
         self.set_header("Cache-Control", "no-store")
         self.set_header("X-Content-Type-Options", "nosniff")
         self.write(self._page())
@@ -121,12 +121,12 @@ class _Socket(_OwnAddressOnly, WebSocketHandler):
         self._handlers = handlers
 
     def open(self, *args: str, **kwargs: str) -> None:
-        """Send all there is, and from now on every change."""
+        """Send the scene, and from now on every change."""
         self._handlers.add(self)
         self._send(self._scene.listen(self._hear))
 
     def on_message(self, message: str | bytes) -> None:
-        """Pages do not speak."""
+        """Ignore messages from pages."""
 
     def on_close(self) -> None:
         """Forget the page."""
@@ -134,12 +134,12 @@ class _Socket(_OwnAddressOnly, WebSocketHandler):
         self._scene.forget(self._hear)
 
     def leave(self) -> None:
-        """End the connection from this side."""
+        """Close the connection from this side."""
         self._scene.forget(self._hear)
         self.close()
 
     def _hear(self, message: Message) -> None:
-        # called in whichever thread changes the scene; the connection belongs to the server's
+        # called in the thread that changes the scene; the connection belongs to the server's thread
         self._loop.call_soon_threadsafe(self._send, message)
 
     def _send(self, message: Message) -> None:
@@ -148,7 +148,7 @@ class _Socket(_OwnAddressOnly, WebSocketHandler):
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether only programs of this machine can connect to a host name or address."""
+    """Return whether only programs of this machine can connect to a host name or address."""
     try:
         addresses = {entry[4][0] for entry in socket.getaddrinfo(host, None)}
     except OSError:
@@ -157,7 +157,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _name_in(host: str) -> str:
-    """Return the name or address of a Host header, without the port and without brackets."""
+    """Return the name or address of a Host header, without port and brackets."""
     if host.startswith("["):
         return host[1:].partition("]")[0]
     return host.rpartition(":")[0] if host.count(":") == 1 else host

@@ -1,8 +1,8 @@
-"""The boundary of the reachable set as a surface in space, coloured by a quantity of the maps.
+"""The boundary of the workspace as a surface in space, coloured by a quantity of the maps.
 
-Where the coordinates are not positions, a pose is no point in space: that of the tripod is two tilts and a height. The
-tip of a tool that stands on the platform is one, and for the tripod the only one for its pose. So the surface drawn is
-the boundary of what the tip of such a tool reaches, in metres, around the machine.
+If the coordinates are not positions, poses are not points in space: those of the tripod are two tilts and a height. But
+the tip of a tool on the platform is a point, and for the tripod it determines the pose. So the surface drawn is the
+boundary of the points that the tip of such a tool reaches, in metres, around the machine.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from pm3dof_pin.viewer.scene import Json, Scene
 _TOOL_COLOUR = (0.13, 0.15, 0.18)
 _LEAST_SECTIONS = 3
 _RINGS = 12  # lines drawn along sections
-_END = 1e-4  # how far inside the range of heights the first and the last section lie, as a part of it
+_END = 1e-4  # inset of the first and the last section, relative to the range of heights
 
 
 @dataclass(frozen=True)
 class _Shell:
-    """A closed surface of triangles around the reachable set, and points inside, with quantities at all of them."""
+    """A closed triangle surface around the reachable set, and points inside, with quantities at all of them."""
 
     vertices: Array
     faces: NDArray[np.int64]
-    lines: Array  #: pairs of ends of lines along some of the sections, shape=(k, 3) [m]
+    lines: Array  #: pairs of end points of lines along some of the sections, shape=(k, 3) [m]
     points: Array
     layers: tuple[Layer, ...]  #: the quantities, at the vertices and then at the points
-    part: str = ""  #: which part of the reachable set it is, in words; nothing for all of it
+    part: str = ""  #: description of the part of the reachable set, or "" for all of it
 
     def draw(self, scene: Scene, path: str, size: float) -> None:
-        """Put the shell at a path, its points of a size [m]."""
+        """Draw the shell at a path, with points of a size [m]."""
         tints = colours.blend(colours.INDEX_STOPS, self.layers[0].places)
         count = len(self.vertices)
         surface = objects.coloured_mesh(objects.triangles(self.vertices, self.faces, tints[:count]), opacity=0.5)
@@ -92,25 +92,26 @@ def _tool_tips(poses: Poses, length: float) -> Array:
 def workspace_shell(
     robot: Robot, quantity: str, *, tool_length: float, heights: int = 41, directions: int = 120, inside: int = 17
 ) -> _Shell:
-    """Return the boundary of what a tool's tip reaches and points inside, with quantities at each of them.
+    """Return the boundary of the points that a tool's tip reaches, and points inside, with quantities at all of them.
 
-    Three coordinates are changed, see :func:`~pm3dof_pin.maps.limit_space.robot_space`; others stay at home. The
-    quantity is a name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, and after a colon which of its entries, as
-    "felt_stiffness:z". It is the first layer; :meth:`~pm3dof_pin.viewer.layers.ScalarQuantity.others` follow.
+    Three coordinates vary, see :func:`~pm3dof_pin.maps.limit_space.robot_space`; others stay at home. The quantity is a
+    name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, followed by a colon and one of its entries if it has
+    several, as in "felt_stiffness:z". It is the first layer; :meth:`~pm3dof_pin.viewer.layers.ScalarQuantity.others`
+    follow.
 
     Raises:
-        InvalidValueError: no such quantity or entry, or it is not finite on the boundary; fewer than three coordinates;
-            or no sections in a row are one closed line around their centre.
+        InvalidValueError: there is no such quantity or entry, or it is not finite on the boundary; there are fewer than
+            three coordinates; or no successive sections are single closed lines around their centres.
         UnreachablePoseError: no pose is within the limits.
     """
     mapped = MappedRobot(robot)
     chosen = ScalarQuantity.find(mapped, quantity)
     limits = robot_space(robot)
     if not limits.stacked:
-        raise InvalidValueError("workspace", robot, "a robot with three coordinates at least")
+        raise InvalidValueError("workspace", robot, "a robot with at least three coordinates")
     low, high = level_range(limits)
     inset = _END * (high - low)
-    # closer to each other near the ends, where the sections shrink fast
+    # closer together near the ends, where the sections shrink quickly
     places = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, heights))
     levels = low + inset + (high - low - 2.0 * inset) * places
     sections = _closed_sections(workspace_sections(limits, levels, directions, ranges=False))
@@ -119,7 +120,7 @@ def workspace_shell(
     poses = Poses(robot, np.concatenate([boundary.q, within.q]))
     layer = chosen.layer(mapped, poses)
     if not np.isfinite(layer.values).all():
-        raise InvalidValueError("quantity", quantity, "one that is finite all over the boundary")
+        raise InvalidValueError("quantity", quantity, "one that is finite on the whole boundary")
     others = [other.layer(mapped, poses) for other in ScalarQuantity.others(mapped, quantity)]
     layers = (layer, *(other for other in others if np.isfinite(other.values).all()))
     tips = _tool_tips(boundary, tool_length)
@@ -134,7 +135,7 @@ def workspace_shell(
 
 
 def _inner_poses(robot: Robot, boundary: Poses, names: tuple[str, ...], count: int) -> Poses:
-    """Return the poses of a grid over some coordinates that are within the limits."""
+    """Return the poses within limits of a grid over some coordinates."""
     ranges = {}
     for name in names:
         values = boundary.coordinates[:, robot.coordinates.index(robot.coordinate(name))]
@@ -144,7 +145,7 @@ def _inner_poses(robot: Robot, boundary: Poses, names: tuple[str, ...], count: i
 
 
 def _closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSection, ...]:
-    """Return the longest row of sections, at least three, each of which is one closed line around its centre."""
+    """Return the longest run of at least three sections that are single closed lines around their centres."""
     longest: list[WorkspaceSection] = []
     row: list[WorkspaceSection] = []
     for section in stack:
@@ -152,13 +153,13 @@ def _closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSectio
         longest = max(longest, row, key=len)
     if len(longest) < _LEAST_SECTIONS:
         raise InvalidValueError(
-            "workspace", stack[0].space.machine, "sections that are one closed line around a centre"
+            "workspace", stack[0].space.machine, "sections that are single closed lines around a centre"
         )
     return tuple(longest)
 
 
 def _boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses:
-    """Return the boundary poses, section after section, then the middles of both ends."""
+    """Return the boundary poses, section by section, then the centres of both ends."""
     space = sections[0].space
     lines = [np.column_stack([section.points, np.full(len(section.points), section.level)]) for section in sections]
     ends = [[*space.centre, section.level] for section in (sections[0], sections[-1])]
@@ -167,7 +168,7 @@ def _boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses
 
 
 def draw_tool(scene: Scene, path: str, placement: ArrayLike, length: float, size: float) -> None:
-    """Put a tool of a length [m] with a ball of a radius `size` at a path, at a placement in its parent."""
+    """Draw a tool of a length [m] with a ball of radius `size` at a path, at a placement in its parent."""
     scene.set_transform(path, placement)
     scene.set_object(f"{path}/rod", objects.mesh(objects.cylinder(0.25 * size, length), _TOOL_COLOUR))
     middle = objects.transform(translation=[0.0, 0.0, 0.5 * length])
@@ -177,7 +178,7 @@ def draw_tool(scene: Scene, path: str, placement: ArrayLike, length: float, size
 
 
 def _faces(sections: int, directions: int) -> NDArray[np.int64]:
-    """Return the triangles between neighbouring sections, and two fans that close the ends; normals outwards."""
+    """Return the triangles between neighbouring sections, and two fans that close the ends, with outward normals."""
     ring = np.arange(directions)
     following = (ring + 1) % directions
     walls = []

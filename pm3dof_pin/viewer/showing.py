@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _NotebookCell:
-    """A page in a frame: its attribute `src` or `srcdoc` and its height [pixels]."""
+    """A page in an iframe: its attribute `src` or `srcdoc`, and its height [pixels]."""
 
     source: str
     height: int
@@ -34,16 +34,16 @@ class _NotebookCell:
 
 
 class ShownScene:
-    """A scene with its panel and the ways to look at it. Nothing is served and no browser needed until asked for.
+    """A scene with its panel, and the ways to show it. Nothing is served and no browser is needed until requested.
 
-    Served on `host`, this machine only unless told otherwise, and a port, the first free one from 7000 on by default.
+    It is served on `host`, by default only this machine, and `port`, by default the first free one from 7000.
     """
 
     def __init__(self, title: str, host: str = "127.0.0.1", port: int | None = None) -> None:
         self.scene = Scene()
         self._panel: Json = {"title": title, "subtitle": "", "note": []}
         self._entries: dict[str, Entry] = {}
-        self._beside: dict[str, Array] = {}  # points, by entry, that are to be in the picture besides the machine
+        self._beside: dict[str, Array] = {}  # points, by entry, to be in the picture besides the machine
         self.host = host
         self._port = port
         self._server: SceneServer | None = None
@@ -54,10 +54,10 @@ class ShownScene:
         return self._server is not None
 
     def start(self) -> str:
-        """Serve the scene, if that is not done already, and return the address for a browser.
+        """Serve the scene, if it is not yet served, and return the URL for a browser.
 
         Raises:
-            ServerError: the port is taken, or the host is no address of this machine.
+            ServerError: the port is in use, or the host is not an address of this machine.
         """
         from pm3dof_pin.viewer.server import SceneServer
 
@@ -66,7 +66,7 @@ class ShownScene:
         return self._server.url
 
     def open(self) -> bool:
-        """Serve the scene as :meth:`start` and tell whether a browser could show it; without a screen there is none."""
+        """Serve the scene as :meth:`start`; return whether a browser was opened, which needs a screen."""
         url = self.start()
         has_screen = sys.platform in ("darwin", "win32") or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
         return bool(has_screen) and webbrowser.open(url, new=2)
@@ -88,22 +88,22 @@ class ShownScene:
         self.close()
 
     def html(self) -> str:
-        """Return the scene as one page, with nothing to be fetched from anywhere."""
+        """Return the scene as one self-contained page."""
         return self._page(served=False)
 
     def save_html(self, path: Path | str) -> Path:
         """Write the scene as one page and return the path.
 
         Raises:
-            OutputError: the folder does not exist, or the file cannot be written; nothing is left of it.
+            OutputError: the folder does not exist, or the file cannot be written; no partial file is left.
         """
         return write_text_atomically(_in_existing_folder(path), self.html())
 
     def save_picture(self, path: Path | str, *, width: int = 1200, height: int = 900) -> Path:
-        """Write a picture of the scene (PNG), size in pixels, taken by a browser without a window, and return the path.
+        """Write a picture of the scene (PNG), size in pixels, taken by a headless browser, and return the path.
 
         Raises:
-            OutputError: the folder does not exist, or the file cannot be written; nothing is left of it.
+            OutputError: the folder does not exist, or the file cannot be written; no partial file is left.
             BrowserError: there is no Chromium or Chrome, or it cannot draw.
         """
         from pm3dof_pin.viewer.browser import pictures_of
@@ -117,7 +117,7 @@ class ShownScene:
     def save_turntable(
         self, path: Path | str, *, width: int = 640, height: int = 480, count: int = 48, duration: float = 6.0
     ) -> Path:
-        """Write a moving picture (GIF) as :meth:`save_picture`, the camera going once around in a duration [s]."""
+        """Write an animation (GIF) like :meth:`save_picture`, with the camera circling once in a duration [s]."""
         import io
 
         from PIL import Image
@@ -135,16 +135,16 @@ class ShownScene:
         return target
 
     def jupyter_cell(self, height: int = 600, *, static: bool = False) -> _NotebookCell:
-        """Return the scene for the last line of a notebook's cell, a frame of some height [pixels].
+        """Return the scene for the last line of a notebook cell, as a frame of a height [pixels].
 
-        The served scene follows what is drawn later; a static copy also works where the browser is on another machine.
+        The served scene follows later drawing; a static copy also works if the browser is on another machine.
         """
         if static:
             return _NotebookCell(f'srcdoc="{escape(self.html())}"', height)
         return _NotebookCell(f'src="{escape(self.start())}"', height)
 
     def set_title(self, title: str, subtitle: str = "") -> None:
-        """Set what stands at the top of the panel; by default the name of the mechanism."""
+        """Set the heading of the panel; by default the name of the mechanism."""
         self._panel |= {"title": title, "subtitle": subtitle}
         self._update()
 
@@ -173,12 +173,12 @@ class ShownScene:
         return page_html(scene, title=title, served=served, programs=self._program_source())
 
     def _program_source(self) -> str:
-        """Return the JavaScript by which the page moves what it shows, see :mod:`pm3dof_pin.viewer.page_programs`."""
+        """Return the JavaScript that moves the robot in the page, see :mod:`pm3dof_pin.viewer.page_programs`."""
         return ""
 
 
 def _in_existing_folder(path: Path | str) -> Path:
     target = Path(path)
     if not target.parent.is_dir():
-        raise OutputError(target, f"there is no folder {target.parent}")
+        raise OutputError(target, f"folder {target.parent} does not exist")
     return target

@@ -1,8 +1,7 @@
-"""What the sliders of the page need: the robot's coordinates and commands, its limits, and the tree that they move.
+"""Data for the sliders of the page: the robot's coordinates and commands, its limits, and its tree.
 
-The page computes a slider's pose by itself, with the programs of :mod:`pm3dof_pin.viewer.page_programs`. It may go on
-with what was drawn with the robot's own springs and weight, and with nothing else; here it is decided what that is, by
-the same programs.
+The page computes the sliders' pose by itself, with the programs of :mod:`pm3dof_pin.viewer.page_programs`. It updates
+only items that were drawn for the robot's own springs and weight; this module determines these, by the same programs.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from pm3dof_pin.viewer.legs import about_body
 from pm3dof_pin.viewer.page_programs import PagePrograms
 from pm3dof_pin.viewer.scene import Json, column_major
 
-_SAME = 1e-6  # relative difference of what the page may go on with
-_MARGIN = 0.15  # by how much a slider goes beyond a range, so that limits can be seen, as a part of it
-_STEPS = 1000  # of a slider, at least
+_SAME = 1e-6  # largest relative difference of items that the page may update
+_MARGIN = 0.15  # of a slider beyond its range, relative to the range, so that limits are visible
+_STEPS = 1000  # least number of steps of a slider
 _DEGREES = 180.0 / math.pi
 
 
@@ -42,7 +41,7 @@ class Sliders:
         self._sets = sets_of(robot)
 
     def machine_data(self, bodies: tuple[Body, ...]) -> Json:
-        """Return what the page has to know of the robot and its drawn bodies besides its programs."""
+        """Return the data about the robot and its drawn bodies that the page needs besides the programs."""
         robot = self._robot
         model = robot.model
         actuators = []
@@ -91,9 +90,9 @@ class Sliders:
         scale: float,
         length: float,
     ) -> Json | None:
-        """Return how the page goes on with an ellipsoid at the tool, if it is that of the robot's own description.
+        """Return how the page updates an ellipsoid at the tool, if it is that of the robot's own description.
 
-        The block is drawn to a `scale` [m per unit]; axes far beyond `length` [m] change the scale. For the choices see
+        The block is drawn to a `scale` [m per unit]; axes far beyond `length` [m] change the scale. For the options see
         :meth:`Viewer.stiffness_ellipsoid <pm3dof_pin.viewer.viewer.Viewer.stiffness_ellipsoid>` and
         :meth:`~pm3dof_pin.viewer.viewer.Viewer.motion_ellipsoid`.
         """
@@ -106,9 +105,9 @@ class Sliders:
     def live_forces(
         self, forces: Array, configuration: Configuration, *, scale: float, length: float, width: float, unit: str
     ) -> Json | None:
-        """Return how the page goes on with actuator forces [N, N m], if they hold the robot's own weight.
+        """Return how the page updates actuator forces [N, N m], if they hold the robot's own weight.
 
-        Sizes are as in :meth:`live_ellipsoid`; `width` is half the width of an arrow [m].
+        Sizes as in :meth:`live_ellipsoid`; `width` is the half width of an arrow [m].
         """
         from pm3dof_pin.mechanism.loads import weight_scale
 
@@ -127,7 +126,7 @@ class Sliders:
         compliance: Matrix,
         load: Array,
     ) -> Json | None:
-        """Return how the page goes on with the legs' shares in C, if that is the one of the robot's own springs."""
+        """Return how the page updates the legs' shares in C, if C is that of the robot's own springs."""
         own = self._compliance(configuration)
         if own is None or not np.abs(own - compliance).max() <= _SAME * np.abs(own).max():
             return None
@@ -142,7 +141,7 @@ class Sliders:
     def _block(
         self, configuration: Configuration, kind: Motion, of: EllipsoidQuantity, others: OtherMotions
     ) -> Array | None:
-        """Return what an ellipsoid shows as the page computes it; None where it does not."""
+        """Return the block of an ellipsoid as computed by the page; None if it is not."""
         try:
             if of == "stiffness" or of == "compliance":
                 compliance = self._compliance(configuration)
@@ -158,7 +157,7 @@ class Sliders:
             return None
 
     def _compliance(self, configuration: Configuration) -> Matrix | None:
-        """Return C at the tool as the page computes it; None where it does not."""
+        """Return C at the tool as computed by the page; None if it is not."""
         if self._programs.compliance is None:
             return None
         if any(configuration.q[length["index"]] + length["at_zero"] <= 0.0 for length in self._programs.spring_lengths):
@@ -168,9 +167,9 @@ class Sliders:
 
 
 def sets_of(robot: Robot) -> list[Json]:
-    """Return the sets of numbers that place a robot, as the page reads them: coordinates, and commands if they differ.
+    """Return the sets of numbers that place a robot, for the page: coordinates, and commands if different.
 
-    Each number has its `slider`: ends, range, step, digits and factor of what it shows, and the unit behind.
+    Each number has a `slider`: ends, range, step, digits and factor of the display, and the unit.
     """
     sets = [
         {
@@ -186,7 +185,7 @@ def sets_of(robot: Robot) -> list[Json]:
 
 
 def reading(number: Json, value: float) -> str:
-    """Write a number of a set as the page does: "theta_x 10.0°", not torn apart, with a true minus, none on a zero."""
+    """Format a number of a set like the page: "theta_x 10.0°", nonbreaking, with a true minus sign, none on zero."""
     slider = number["slider"]
     text = f"{round(value * slider['factor'], slider['digits']) + 0.0:.{slider['digits']}f}".replace("-", "\u2212")
     return f"{number['name']}\u00a0{text}{slider['unit']}"
@@ -215,7 +214,7 @@ def _numbers(robot: Robot, coordinates: Sequence[Coordinate], values: Vector) ->
 
 
 def _slider(robot: Robot, coordinate: Coordinate, home: float) -> Json:
-    """Return ends and step of a slider: somewhat beyond the range; without one all angles, or lengths around home."""
+    """Return ends and step of a slider: slightly beyond the range; by default all angles, or lengths around home."""
     length = robot.characteristic_length
     is_angle = coordinate.unit == "rad"
     factor = _DEGREES if is_angle else 1.0
@@ -238,14 +237,14 @@ def _slider(robot: Robot, coordinate: Coordinate, home: float) -> Json:
 
 
 def _joints(robot: Robot) -> list[Json]:
-    """Return the parts of q: numbers of their own, pairs (cos, sin) and quaternions, by index and size."""
+    """Return the parts of q: single numbers, pairs (cos, sin) and quaternions, by index and size."""
     parts: list[Json] = []
     for joint in list(robot.model.joints)[1:]:
         index, nq, nv = int(joint.idx_q), int(joint.nq), int(joint.nv)
         slides = joint.shortname().startswith("JointModelP")
         if nq == nv:
             parts += [{"index": index + k, "size": 1, "slides": slides} for k in range(nq)]
-        else:  # positions, if there are such, come before what turns
+        else:  # positions, if any, precede rotations
             turns = 2 if nv in (1, 3) and nq == nv + 1 and nq != 4 else 4
             before = nq - turns
             parts += [{"index": index + k, "size": 1, "slides": True} for k in range(before)]

@@ -1,4 +1,4 @@
-"""Background, floor and light around a mechanism, in proportion to its size."""
+"""Background, floor and lights around a mechanism, in proportion to its size."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LINE = (0.58, 0.63, 0.70)
 
 
 def draw_surroundings(scene: Scene, middle: Array, radius: float, floor: float) -> None:
-    """Set the background, put a floor [m] under a machine's bounding sphere, and light it from its upper front."""
+    """Set the background, draw a floor [m] under a machine's bounding sphere, and light it from the upper front."""
     scene.set_property("/Background", "top_color", _TOP, of_object=False)
     scene.set_property("/Background", "bottom_color", _BOTTOM, of_object=False)
     for path in ("/Grid", "/Axes"):
@@ -39,7 +39,7 @@ def _draw_floor(scene: Scene, middle: Array, radius: float) -> None:
 
 
 def _chords(middle: Array, size: float, step: float, axis: int) -> Array:
-    """Return the ends of parallel lines across a disc, at round coordinates along an axis, shape=(2 n, 3)."""
+    """Return the ends of parallel chords of a disc, at round coordinates along an axis, shape=(2 n, 3)."""
     first, last = np.ceil((middle[axis] - size) / step), np.floor((middle[axis] + size) / step)
     places = step * np.arange(first, last + 1)
     half = np.sqrt(np.maximum(0.0, size**2 - (places - middle[axis]) ** 2))
@@ -52,7 +52,7 @@ def _chords(middle: Array, size: float, step: float, axis: int) -> Array:
 def _light(scene: Scene, middle: Array, radius: float) -> None:
     x, y, z = middle
     lights: dict[str, dict[str, Any]] = {
-        # the only one that throws shadows
+        # the only one that casts shadows
         "SpotLight": {
             "position": [x + 2.5 * radius, y - 2.0 * radius, z + 6.0 * radius],
             "intensity": 0.45,
@@ -65,7 +65,7 @@ def _light(scene: Scene, middle: Array, radius: float) -> None:
         "AmbientLight": {"intensity": 0.46},
         "FillLight": {"position": [x - 5.0 * radius, y + 5.0 * radius, z + 4.0 * radius], "intensity": 0.15},
     }
-    scene.set_visible("/Lights/SpotLight", True)  # meshcat's is off
+    scene.set_visible("/Lights/SpotLight", True)  # off by default in meshcat
     for name, properties in lights.items():
         for key, value in properties.items():
             scene.set_property(f"/Lights/{name}", key, value)

@@ -1,4 +1,4 @@
-"""The viewer: a mechanism in a browser, with its ellipsoids, forces and workspace."""
+"""The viewer: a mechanism in a browser, with ellipsoids, forces and workspace."""
 
 from __future__ import annotations
 
@@ -42,21 +42,20 @@ if TYPE_CHECKING:
     from pm3dof_pin.errors.error_parameters import GeometricErrors
 
 
-_CLOSED = 1e-6  # the greatest closure error of a configuration whose forces can be compared [m, rad]
-_NEAR = 1.2  # closeness of the camera: the corners of a box around a machine are mostly empty
-_BULK = 3.0  # ratio of an ellipsoid's longest to shortest semi-axis below which it is drawn smaller, not to hide much
-_ROOM = (1.15, -1.15)  # semi-axes to the ends of an ellipsoid's axes with the numbers there
+_CLOSED = 1e-6  # largest closure error of a configuration whose forces can be compared [m, rad]
+_NEAR = 1.2  # closeness of the camera: the corners of a machine's bounding box are mostly empty
+_BULK = 3.0  # ellipsoids of a smaller axis ratio are drawn smaller, so as to hide less
+_ROOM = (1.15, -1.15)  # extent of an ellipsoid's axes with the numbers at their ends [semi-axes]
 
 
 class Viewer(ShownScene):
     """A mechanism in a browser.
 
-    Nothing is served and no browser needed until one is asked for: :meth:`start`, :meth:`open` and
-    :meth:`jupyter_cell` serve the scene, :meth:`html` and :meth:`save_html` write it into one file,
-    :meth:`save_picture` photographs it.
+    Nothing is served and no browser is needed until requested: :meth:`start`, :meth:`open` and :meth:`jupyter_cell`
+    serve the scene, :meth:`html` and :meth:`save_html` write it into one file, :meth:`save_picture` takes a picture.
 
-    Ellipsoids, forces and leg colours belong to the configuration that is displayed when they are drawn; displaying
-    another one takes them away.
+    Ellipsoids, forces and leg colours belong to the configuration displayed when they are drawn; displaying another one
+    removes them.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -67,22 +66,21 @@ class Viewer(ShownScene):
         ...     page = viewer.save_html("hexapod.html")
 
     Args:
-        mechanism: what is shown.
-        sliders: whether the page has sliders, over the robot's coordinates and commands, that move it with its loops
-            closed and with what was drawn for its own springs and weight. A robot for which there are no programs has
-            none, which is logged.
-        model: the mechanism with its springs, which sliders go on with; by default those of its description.
-        visuals: Pinocchio's visual geometry, or the path of a URDF that has it; by default the URDF beside the
-            mechanism's closures file. Without any, a stick figure is drawn.
-        host: interface to listen on: this machine only, unless told otherwise.
-        port: port to listen on; the first free one from 7000 on by default.
+        mechanism: the mechanism to show.
+        sliders: whether the page has sliders for the robot's coordinates and commands, which move it with closed loops
+            and update items drawn for its own springs and weight. A robot without programs has none; this is logged.
+        model: the mechanism with the springs that sliders use; by default those of its description.
+        visuals: Pinocchio's visual geometry, or the path of a URDF that has it; by default the URDF next to the
+            mechanism's closures file. If there is none, a stick figure is drawn.
+        host: interface to listen on; by default only this machine.
+        port: port to listen on; by default the first free one from 7000.
 
     Attributes:
-        mechanism: what is shown.
-        scene: the tree of drawn things; `meshcat.Visualizer(window=viewer.scene)` draws more into it.
+        mechanism: the mechanism shown.
+        scene: the tree of drawn objects; `meshcat.Visualizer(window=viewer.scene)` draws more into it.
 
     Raises:
-        DescriptionError: the URDF is unreadable, or a mesh that it names is missing.
+        DescriptionError: the URDF is unreadable, or one of its meshes is missing.
         InvalidValueError: the elastic model is not one of the mechanism.
     """
 
@@ -104,12 +102,12 @@ class Viewer(ShownScene):
         self._bodies = Bodies.of(mechanism, visuals)
         self._box = self._bodies.box(mechanism.home)
         self._radius = max(1e-3, 0.5 * float(np.linalg.norm(self._box[1] - self._box[0])))
-        self._unit_length = ellipsoids.round_length(0.42 * self._radius)  # of semi-axes and arrows, for round numbers
+        self._unit_length = ellipsoids.round_length(0.42 * self._radius)  # of semi-axes and arrows, rounded
         self._programs = programs_of(mechanism, model) if sliders else None
         self._sliders = Sliders(mechanism, self._programs) if self._programs is not None else None
         self._sets = sets_of(mechanism)
         self._scales: dict[tuple[str, ...], float] = {}
-        self._is_recording = False  # frames of a path, which no slider goes on from
+        self._is_recording = False  # frames of a path are not updated by sliders
         self._draw_bodies()
         self._direction: tuple[float, float, float | None] = (-62.0, 17.0, None)
         if self._sliders is not None:
@@ -119,17 +117,17 @@ class Viewer(ShownScene):
 
     @property
     def configuration(self) -> Configuration:
-        """The configuration that is displayed."""
+        """The displayed configuration."""
         return self._configuration
 
     def display(self, configuration: Configuration | ArrayLike) -> None:
-        """Show a configuration; what was drawn for another one is taken away.
+        """Show a configuration; items drawn for another one are removed.
 
         Args:
             configuration: a configuration of the mechanism, or its q, shape=(nq,) [m, rad].
 
         Raises:
-            InvalidValueError: a configuration of another mechanism, or no q of this one.
+            InvalidValueError: the configuration is of another mechanism, or is not a q of this one.
         """
         if not isinstance(configuration, Configuration):
             configuration = self.mechanism.configuration(configuration)
@@ -158,29 +156,30 @@ class Viewer(ShownScene):
         others: OtherMotions | None = None,
         scale: float | None = None,
     ) -> DrawnEllipsoid:
-        """Draw an ellipsoid of a stiffness or compliance: principal directions as axes, values as semi-axes.
+        """Draw a stiffness or compliance ellipsoid: principal directions as axes, principal values as semi-axes.
 
         Args:
             stiffness: K at the point, world axes, shape=(6, 6) [N/m, N, N m/rad].
             compliance: C instead of K, shape=(6, 6).
-            at: frame or point, shape=(3,) [m], that K belongs to; the tool by default.
-            kind: the translations or the rotations.
-            of: what is drawn, a stiffness or a compliance.
+            at: frame or point, shape=(3,) [m], of K; the tool by default.
+            kind: translations or rotations.
+            of: draw a stiffness or a compliance.
             others: whether the other three motions are free or held, see :func:`pm3dof_pin.viewer.ellipsoids.block`; by
                 default held for a stiffness and free for a compliance, which shows a block of K or C itself.
             scale: length of a semi-axis for a value of 1 [m per unit]; by default a round one that suits the first
-                ellipsoid of its kind, and stays, so that ellipsoids can be compared.
+                ellipsoid of its kind, and is kept, so that ellipsoids can be compared.
 
         Returns:
-            What was drawn.
+            The drawn ellipsoid.
 
         Raises:
-            InvalidValueError: not one of K and C is given, or it is no finite matrix; or the scale is not positive.
-            SingularConfigurationError: the ellipsoid does not exist, some motion being free or held rigidly.
+            InvalidValueError: neither or both of K and C are given, the matrix is not finite, or the scale is not
+                positive.
+            SingularConfigurationError: the ellipsoid does not exist, since some motion is free or rigid.
             FrameNotFoundError: the model has no such frame.
             DescriptionError: no frame is given, and the mechanism has no tool frame.
         """
-        others = others or ("held" if of == "stiffness" else "free")  # which shows a block of K or C itself
+        others = others or ("held" if of == "stiffness" else "free")  # shows a block of K or C itself
         block = ellipsoids.block(stiffness, compliance, kind, of, others)
         rest = "rotations" if kind == "translation" else "translations"
         return self._draw_ellipsoid(block, kind, of, others, scale=scale, at=at, explanation=f"{rest} {others}")
@@ -196,20 +195,21 @@ class Viewer(ShownScene):
         """Draw an ellipsoid of the tool's velocities, forces or errors in the displayed configuration.
 
         Args:
-            of: "velocity" of the tool for command rates of unit norm together, "force" for actuator forces of unit norm
-                together, or "error", the standard deviation of the tool's pose.
-            kind: the translations or the rotations.
-            errors: the parameters whose tolerances make the error; by default those of the error file beside the robot.
+            of: "velocity" of the tool for command rates of unit norm, "force" for actuator forces of unit norm, or
+                "error", the standard deviation of the tool's pose.
+            kind: translations or rotations.
+            errors: the parameters whose tolerances cause the error; by default those of the robot's error file.
             scale: see :meth:`stiffness_ellipsoid`.
 
         Returns:
-            What was drawn.
+            The drawn ellipsoid.
 
         Raises:
-            InvalidValueError: no such quantity, the scale is not positive, or the loops cannot close with an error.
-            SingularConfigurationError: the tool can move while all actuators stand still, or it does not move in some
-                direction and a force is asked for.
-            DescriptionError: there is no tool frame; or no error file, and no errors are given.
+            InvalidValueError: there is no such quantity, the scale is not positive, or the loops cannot close with an
+                error.
+            SingularConfigurationError: the tool can move with all actuators at rest, or, for a force ellipsoid, it does
+                not move in some direction.
+            DescriptionError: there is no tool frame; or neither errors nor an error file are given.
         """
         from pm3dof_pin.errors.error_parameters import GeometricErrors
         from pm3dof_pin.errors.sensitivity import sensitivities
@@ -229,18 +229,18 @@ class Viewer(ShownScene):
     def actuator_forces(
         self, forces: ArrayLike, *, what: str = "Actuator forces", scale: float | None = None
     ) -> dict[str, Array]:
-        """Draw arrows at the actuators: forces of sliding joints, moments (two heads) of turning ones.
+        """Draw arrows at the actuators: forces of prismatic joints, moments (two heads) of revolute ones.
 
         Args:
             forces: one for each actuated joint, positive along its axis, shape=(number of actuated joints,) [N, N m].
-            what: their title in the legend.
-            scale: length of an arrow for 1 N or 1 N m [m]; by default a round one for the first forces, which stays.
+            what: title in the legend.
+            scale: length of an arrow for 1 N or 1 N m [m]; by default a round one for the first forces, which is kept.
 
         Returns:
             The transform of each arrow, by its path in the scene, shape=(4, 4): its third column is the force, scaled.
 
         Raises:
-            InvalidValueError: forces that are not finite or not of that shape, or the scale is not positive.
+            InvalidValueError: the forces are not finite or have the wrong shape, or the scale is not positive.
         """
         axes = arrows.ActuatorAxis.of(self._configuration)
         values = finite_array("forces", forces, (len(axes),))
@@ -286,16 +286,15 @@ class Viewer(ShownScene):
         Args:
             model: the mechanism with its springs.
             wrench: the load [f; m] at the tool, world axes, shape=(6,) [N, N m]; a vertical force by default.
-            visible: whether the legs are coloured until the reader asks for it.
+            visible: whether the legs are coloured initially.
 
         Returns:
             Share of each spring, by name.
 
         Raises:
             InvalidValueError: the elastic model is not one of the mechanism, or the wrench is zero or not finite.
-            SingularConfigurationError: no spring gives under the load.
-            PM3DofError: there is no compliance here: see
-                :func:`~pm3dof_pin.elastic.report.cartesian_compliance`.
+            SingularConfigurationError: no spring deflects under the load.
+            PM3DofError: there is no compliance, as for :func:`~pm3dof_pin.elastic.report.cartesian_compliance`.
         """
         from pm3dof_pin.elastic.report import cartesian_compliance
         from pm3dof_pin.elastic.shares import shares
@@ -307,7 +306,7 @@ class Viewer(ShownScene):
         behaviour = cartesian_compliance(model, self._configuration)
         by_spring = dict(zip(model.spring_names, shares(behaviour.contributions, load).tolist(), strict=True))
         if not np.isfinite(list(by_spring.values())).all():
-            raise SingularConfigurationError(f"no spring of {self.mechanism.name} gives under {_load_text(load)}")
+            raise SingularConfigurationError(f"no spring of {self.mechanism.name} deflects under {_load_text(load)}")
         legs = ColouredLegs(model)
         by_joint = legs.shares(by_spring)
         of_legs = {legs.number(joint): share for joint, share in by_joint.items()}
@@ -336,7 +335,7 @@ class Viewer(ShownScene):
 
         Args:
             names: links or frames of the model; by default the tool's and those of the closures.
-            length: of the arrows [m].
+            length: length of the arrows [m].
 
         Raises:
             FrameNotFoundError: the model has no such frame.
@@ -354,14 +353,14 @@ class Viewer(ShownScene):
         self._show(Entry(key="frames", title="Frames", lines=lines, nodes=paths, of_pose=False))
 
     def labels(self) -> None:
-        """Write the names of points beside them; of the chapter's machine the lengths and angles of Fig. 8.1b too."""
+        """Label points with their names; for the chapter's machine also the lengths and angles of Fig. 8.1b."""
         height, paths = 0.09 * self._radius, []
         named = [(name, text, None) for name, text in point_names(self._configuration).items()]
         others = [(frame, text, place) for text, (frame, place) in measures(self._configuration).items()]
         for number, (name, text, place) in enumerate([*named, *others]):
             body_path, in_body = self._body_at(name)
             placement = in_body.copy()
-            if place is not None:  # written in the axes of the frame it belongs to
+            if place is not None:  # in the axes of its frame
                 placement = in_body @ self._configuration.frame_placement(name).inverse().homogeneous
                 placement[:3, 3] = (placement @ np.append(place, 1.0))[:3]
             else:
@@ -381,17 +380,17 @@ class Viewer(ShownScene):
         heights: int = 41,
         directions: int = 120,
     ) -> None:
-        """Draw the boundary of what the tip of a tool on the platform reaches, coloured by a quantity.
+        """Draw the boundary of the points that the tip of a tool on the platform reaches, coloured by a quantity.
 
         Args:
             quantity: the quantity, as :func:`pm3dof_pin.viewer.shell.workspace_shell` takes it.
-            tool_length: length of the tool along its z axis [m]; by default none if the first coordinate is a length,
+            tool_length: length of the tool along its z axis [m]; by default zero if the first coordinate is a length,
                 else a third of the machine's size.
             heights: number of sections.
-            directions: number of points in each.
+            directions: number of points per section.
 
         Raises:
-            InvalidValueError: no such quantity, or the workspace has no such shell.
+            InvalidValueError: there is no such quantity, or the workspace has no such shell.
             DescriptionError: the robot has no tool frame.
         """
         tool = self.mechanism.frame_name()
@@ -424,22 +423,22 @@ class Viewer(ShownScene):
         """Play a path as an animation, with its ellipsoids and forces.
 
         Args:
-            configurations: frames of the path, equally spaced in time, two at least.
+            configurations: frames of the path, equally spaced in time, at least two.
             stiffness: K at the tool in each frame, shape=(6, 6) each; without K or C no ellipsoids are drawn.
             compliance: C instead of K, shape=(6, 6) each.
             forces: actuator forces in each frame, see :meth:`actuator_forces`.
             of: see :meth:`stiffness_ellipsoid`.
             others: see :meth:`stiffness_ellipsoid`.
-            duration: time of the whole path [s].
-            repetitions: how often it is played.
+            duration: duration of the whole path [s].
+            repetitions: number of times it is played.
 
         Raises:
-            InvalidValueError: fewer than two frames, not as many K or forces, or a duration that is not positive.
-            SingularConfigurationError: an ellipsoid does not exist.
+            InvalidValueError: there are fewer than two frames, a different number of K or forces, or the duration is
+            not positive. SingularConfigurationError: an ellipsoid does not exist.
         """
         frames = len(configurations)
         if frames < 2:
-            raise InvalidValueError("configurations", f"{frames} of them", "two at least")
+            raise InvalidValueError("configurations", f"{frames} of them", "at least two")
         given: list[Sequence[ArrayLike | None]] = []
         for name, values in (("stiffness", stiffness), ("compliance", compliance), ("forces", forces)):
             if values is not None and len(values) != frames:
@@ -467,13 +466,13 @@ class Viewer(ShownScene):
         self._update()
 
     def look(self, azimuth: float = -62.0, elevation: float = 17.0, closeness: float | None = None) -> None:
-        """Turn the camera so that the machine, as it is displayed, fills the picture.
+        """Point the camera so that the displayed machine fills the picture.
 
         Args:
-            azimuth: of the camera seen from the machine, from x towards y [deg].
-            elevation: of the camera over the horizon [deg].
-            closeness: 1 for a box around the machine all in the picture, more for nearer; by default rather near, but
-                with all of the machine in the picture.
+            azimuth: azimuth of the camera seen from the machine, from x towards y [deg].
+            elevation: elevation of the camera above the horizon [deg].
+            closeness: 1 to fit the machine's bounding box, more for closer; by default close, but with the whole
+                machine in the picture.
         """
         self._direction = (azimuth, elevation, closeness)
         serial = self._panel.get("camera", {}).get("serial", 0) + 1
@@ -489,7 +488,7 @@ class Viewer(ShownScene):
         self._update()
 
     def _look_again(self) -> None:
-        if not self.is_served:  # nobody has turned the picture yet
+        if not self.is_served:  # no user can have turned the picture yet
             self.look(*self._direction)
 
     def _draw_ellipsoid(
@@ -504,7 +503,7 @@ class Viewer(ShownScene):
         at: str | ArrayLike | None = None,
         is_own: bool = True,
     ) -> DrawnEllipsoid:
-        """Draw the ellipsoid of a 3 x 3 block; sliders go on with one at the tool that may be the description's own."""
+        """Draw the ellipsoid of a 3 x 3 block; sliders update one at the tool if it is the description's own."""
         unit, place = UNITS[of, kind], at if isinstance(at, str) else "point"
         if scale is None:
             sizes = np.abs(np.linalg.eigvalsh(block))
@@ -550,10 +549,10 @@ class Viewer(ShownScene):
         draw_surroundings(self.scene, self._box.mean(axis=0), self._radius, float(self._box[0, 2]))
 
     def _body_at(self, frame_name: str) -> tuple[str, Array]:
-        """Return the path of a drawn body that moves with a frame, and the frame's placement in it."""
+        """Return the path of the drawn body that moves with a frame, and the frame's placement in it."""
         frame = self.mechanism.model.frames[self.mechanism.frame_id(frame_name)]
         body = next((body for body in self._bodies if body.joint == frame.parentJoint), None)
-        if body is None:  # nothing is drawn of it yet
+        if body is None:  # not drawn yet
             body = Body(self.mechanism.model.names[frame.parentJoint], frame.parentJoint, np.eye(4))
             self._bodies = Bodies((*self._bodies, body))
             self.scene.set_transforms(Bodies((body,)).placements(self._configuration))
@@ -571,7 +570,7 @@ class Viewer(ShownScene):
         of: EllipsoidMatrix,
         others: OtherMotions | None,
     ) -> tuple[dict[str, Array], Json]:
-        """Display one frame of a path; return the transforms of all that moves in it, and what is said of it."""
+        """Display one frame of a path; return the transforms of everything that moves, and its notes."""
         self.display(configuration)
         transforms = self._bodies.placements(configuration)
         if stiffness is not None or compliance is not None:
@@ -586,12 +585,12 @@ class Viewer(ShownScene):
 
     @property
     def _live_sliders(self) -> Sliders | None:
-        """The sliders if they may go on with what is drawn now: with closed loops, and not within a path."""
+        """The sliders if they can update what is drawn: with closed loops, and not within a path."""
         is_static = self._is_recording or not self._configuration.closure_residual < _CLOSED
         return None if is_static else self._sliders
 
     def _kept_scale(self, key: tuple[str, ...], greatest: float) -> float:
-        """Return the scale of the first thing of its kind, a round one that suits its greatest value [m per unit]."""
+        """Return the scale [m per unit] of the first item of its kind, a round one that suits its greatest value."""
         return self._scales.setdefault(key, ellipsoids.round_scale(float(greatest), self._unit_length))
 
     def _point(self, at: str | ArrayLike | None) -> Array:
@@ -602,9 +601,9 @@ class Viewer(ShownScene):
         return finite_array("at", at, (3,))
 
     def _note(self, configuration: Configuration) -> tuple[list[str], list[str]]:
-        """Return what is said of a configuration, and which limits it breaks."""
+        """Return notes about a configuration, and the limits it breaks."""
         broken = list(map(str, broken_limits(self.mechanism, configuration)))
-        warnings = ["Out of reach within the limits of the joints:", *broken] if broken else []
+        warnings = ["Outside the joint limits:", *broken] if broken else []
         lines = []
         at = self.mechanism.at([configuration.q])[0]
         for entry, values in zip(self._sets, (at.coordinates, at.commands), strict=False):
@@ -618,7 +617,7 @@ class Viewer(ShownScene):
 
 
 def _load_text(wrench: Array) -> str:
-    """Say what a load is, as in "a force along z"."""
+    """Describe a load, as in "a force along z"."""
     if np.count_nonzero(wrench) != 1:
         return "the load " + ", ".join(f"{number:g}" for number in wrench) + " N, N m"
     axis = int(np.flatnonzero(wrench)[0])
@@ -626,7 +625,7 @@ def _load_text(wrench: Array) -> str:
 
 
 def _distances_to_singularities(configurations: Sequence[Configuration]) -> dict[str, list[float]]:
-    """Return the distance to each type of singularity along a path; nothing where there is none to measure."""
+    """Return the distance to each type of singularity along a path; empty if there is none to measure."""
     try:
         generic = instantaneous_mobility(generic_configuration(configurations[0]))
         measured = [singularity_distances(configuration, generic=generic) for configuration in configurations]

@@ -61,7 +61,7 @@ def test_tracks() -> None:
 def test_bad_paths(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     home = mechanism.home
-    with pytest.raises(InvalidValueError, match="two at least"):
+    with pytest.raises(InvalidValueError, match="at least two"):
         viewer.play([home])
     with pytest.raises(InvalidValueError, match="one for each of 2 frames"):
         viewer.play([home, home], stiffness=[np.eye(6)])

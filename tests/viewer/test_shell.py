@@ -112,7 +112,7 @@ def test_every_listed_quantity_is_one_number(mapped: MappedRobot) -> None:
         ("colour", "expected some of"),
         ("felt_stiffness", "and one of x, y, z, rx"),
         ("felt_stiffness:w", "and one of x, y, z, rx"),
-        ("condition_number:z", "alone, which is one number"),
+        ("condition_number:z", "alone, which is a single number"),
         ("K", "a number or a list"),
     ],
 )

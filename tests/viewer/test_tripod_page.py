@@ -208,7 +208,7 @@ def test_a_broken_limit_is_named(shown: Any, mechanism: Robot, tripod: Tripod) -
     where = at_pose(mechanism, tripod, 10.0, theta_y, 0.5)
     violations = [str(violation) for violation in broken_limits(mechanism, where)]
     assert any("spherical" in violation for violation in violations)
-    assert shown.warnings() == ["Out of reach within the limits of the joints:", *violations]
+    assert shown.warnings() == ["Outside the joint limits:", *violations]
 
 
 def test_out_of_reach_is_said_and_nothing_moves(shown: Any) -> None:

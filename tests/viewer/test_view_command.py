@@ -110,8 +110,8 @@ def test_a_taken_port(run: Run) -> None:
     [
         (["0", "0", "0.9"], 1, "out of reach"),
         (["--robot", "nobody"], 1, "no robot 'nobody'"),
-        (["0", "0", "0.5", "--html", "missing/page.html"], 1, "there is no folder missing"),
-        (["0", "0", "0.5", "--picture", "missing/picture.png"], 1, "there is no folder missing"),
+        (["0", "0", "0.5", "--html", "missing/page.html"], 1, "folder missing does not exist"),
+        (["0", "0", "0.5", "--picture", "missing/picture.png"], 1, "folder missing does not exist"),
         (["0", "0"], 2, "pm3dof takes theta_x"),
         (["0", "0", "high"], 2, "high is not a number"),
         (["0", "0", "nan"], 2, "nan is not a finite number"),

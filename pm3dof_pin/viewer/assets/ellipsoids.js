@@ -1,4 +1,4 @@
-// What the ellipsoids show, chosen in the page: the quantity, what the other motions do, the load; and numbers at their axes.
+// Options of the ellipsoids: quantity, free or held other motions, and load; and numbers at their axes.
 "use strict";
 
 (() => {
@@ -6,16 +6,16 @@
   const form = document.getElementById("choices");
   const selects = { of: form.querySelector("[name=of]"), others: form.querySelector("[name=others]") };
   const labels = document.getElementById("labels");
-  const CLOSE = 17, LETTER = 7; // pixels between labels, below which one is left out; of a letter
-  const scales = new Map(); // of ellipsoids chosen here, kept so that they can be compared
-  let chosen = null; // by the reader: of and others
+  const CLOSE = 17, LETTER = 7; // pixels: least distance between labels; width of a letter
+  const scales = new Map(); // of ellipsoids selected here, kept so that they can be compared
+  let chosen = null; // by the user: of and others
   let wrench = null;
 
   const live = (kind) => pm3dof.panel().legend.filter((entry) => entry.live && entry.live.kind === kind);
   const usual = (of) => (of === "stiffness" ? "held" : "free");
   const isElastic = (of) => of === "stiffness" || of === "compliance";
 
-  // Quantities that have an ellipsoid at home or in the pose that is shown.
+  // Quantities that have an ellipsoid at home or at the displayed pose.
   function quantities() {
     const robot = pm3dof.robot(), known = new Set();
     [robot.home(), pm3dof.pose()].forEach((pose) => {
@@ -27,7 +27,7 @@
     return [...new Set(robot.data.ellipsoids.map(({ of }) => of))].filter((of) => known.has(of));
   }
 
-  // The greatest length 1, 2, 5 times a power of ten in which a value is drawn no longer than what suits the robot.
+  // The greatest length, 1, 2 or 5 times a power of ten, for a value, within what suits the robot.
   function roundScale(greatest, length) {
     if (!(greatest > 0)) return length;
     const power = 10 ** Math.floor(Math.log10(greatest));
@@ -61,7 +61,7 @@
     made.querySelectorAll(".line")[1].textContent = said;
   }
 
-  // Show a quantity; what the others do is the usual one unless given.
+  // Show a quantity; the other motions are as usual unless given.
   function choose(of, others = usual(of)) {
     chosen = { of, others };
     live("ellipsoid").forEach((entry) => show(entry, of, others));
@@ -125,14 +125,14 @@
 
   // ------------------------------------------------------------------------------- numbers in the picture
 
-  // Where a point of the machine is in the picture [pixels]; null behind the camera.
+  // Position of a point of the machine in the picture [pixels]; null behind the camera.
   function project(point) {
     const at = viewer.scene.localToWorld(new MeshCat.THREE.Vector3(...point)).project(viewer.camera);
     const { clientWidth, clientHeight } = viewer.renderer.domElement;
     return Math.abs(at.z) < 1 ? [(at.x + 1) / 2 * clientWidth, (1 - at.y) / 2 * clientHeight] : null;
   }
 
-  // A number at the end of every semi-axis, but for those that would stand over another.
+  // A number at the end of every semi-axis, except where it would overlap another.
   function write() {
     const taken = [];
     labels.textContent = "";

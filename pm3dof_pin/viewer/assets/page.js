@@ -3,25 +3,25 @@
 
 const pm3dof = (() => {
   const viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
-  const NEAR_SINGULAR = 5; // times as far, or less far, as at home
-  const FIELD_OF_VIEW = 30; // degrees: little perspective, as in a technical drawing
-  const shown = new Map(); // what the reader ticked, by entry
+  const NEAR_SINGULAR = 5; // ratio to the motion at home, or its inverse
+  const FIELD_OF_VIEW = 30; // degrees; little perspective, as in a technical drawing
+  const shown = new Map(); // the user's checkboxes, by entry
   let panel = { legend: [] };
-  let robot = null; // what sliders move
-  let pose = null; // of it, as it is shown
-  let activeSet = 0; // of sliders
-  let slidersShown = ""; // which there are
+  let robot = null; // moved by sliders
+  let pose = null; // its displayed pose
+  let activeSet = 0; // set of sliders
+  let slidersShown = ""; // the existing ones
   let tidied = false;
   let cameraSerial = null;
   const listeners = { panel: [], pose: [], entries: [], choice: [], picture: [] };
 
-  // What the other parts of the page do after a new panel, pose, set of shown entries, choice or picture.
+  // Callbacks of the other parts of the page for a new panel, pose, set of visible entries, option or picture.
   const on = (event, action) => listeners[event].push(action);
   const tell = (event, ...details) => listeners[event].forEach((action) => action(...details));
 
   // ----------------------------------------------------------------------------------------------- pane
 
-  // Width and height of the picture, and how much of its left is behind the panel [pixels]; on a phone nothing is.
+  // Width and height of the picture, and how much of its left is behind the panel [pixels]; zero on a phone.
   function pane() {
     const { clientWidth: width, clientHeight: height } = document.getElementById("meshcat-pane");
     return { width, height, behind: height < window.innerHeight || document.body.classList.contains("bare") ? 0 : Math.min(0.5 * width, 314) };
@@ -30,7 +30,7 @@ const pm3dof = (() => {
   const setSize = viewer.set_3d_pane_size.bind(viewer);
   viewer.set_3d_pane_size = () => {
     const { width, height, behind } = pane();
-    viewer.camera.setViewOffset(width, height, -0.5 * behind, 0, width, height); // the middle is that of what is free
+    viewer.camera.setViewOffset(width, height, -0.5 * behind, 0, width, height); // centred in the free part
     setSize(width, height);
   };
 
@@ -46,7 +46,7 @@ const pm3dof = (() => {
   const node = (path) => viewer.scene_tree.find(split(path));
   const placeNode = (path, matrix) => node(path).set_transform(matrix);
 
-  // Arrays that came as base64 become typed arrays.
+  // Turn arrays in base64 into typed arrays.
   function unpacked(value) {
     if (Array.isArray(value)) return value.map(unpacked);
     if (value === null || typeof value !== "object") return value;
@@ -68,8 +68,8 @@ const pm3dof = (() => {
     viewer.gui.__folders.Scene.close();
   }
 
-  // Look at a box from a direction so that it just fills the picture, with some room for panel and controls; nearer by
-  // the closeness, unless points would then be outside.
+  // Look at a box from a direction so that it just fills the picture, with room for panel and controls; closer by the
+  // closeness, unless points would then be outside.
   function frame({ box: [low, high], points, azimuth, elevation, closeness, serial }) {
     if (serial === cameraSerial) return;
     cameraSerial = serial;
@@ -81,7 +81,7 @@ const pm3dof = (() => {
     const target = low.map((entry, index) => 0.5 * (entry + high[index]));
     const { width, height, behind } = pane();
     const half = Math.tan(FIELD_OF_VIEW * Math.PI / 360), aspect = (width - behind) / height;
-    // from where a point is still in a part of the picture
+    // the distance at which a point is just inside part of the picture
     const distanceOf = (point, across, upwards) => {
       const p = point.map((entry, index) => entry - target[index]);
       const reach = Math.max(Math.abs(along(p, right)) / (across * aspect), Math.abs(along(p, up)) / upwards);
@@ -94,7 +94,7 @@ const pm3dof = (() => {
     );
     const radius = 0.5 * Math.hypot(...high.map((entry, index) => entry - low[index]));
     const eye = back.map((entry, index) => target[index] + distance * entry);
-    const camera = viewer.camera; // three.js holds y up here
+    const camera = viewer.camera; // three.js has y up here
     camera.fov = FIELD_OF_VIEW;
     camera.near = radius / 50;
     camera.far = 60 * radius;
@@ -103,7 +103,7 @@ const pm3dof = (() => {
     viewer.set_dirty();
   }
 
-  // Nothing but the machine, on white, in all of the window: for moving pictures.
+  // Only the machine, on white, in the whole window: for animations.
   function bare() {
     document.body.classList.add("bare");
     viewer.hide_background();
@@ -113,7 +113,7 @@ const pm3dof = (() => {
     if (panel.camera) frame(panel.camera);
   }
 
-  // Turn the camera about the vertical through what it looks at [deg].
+  // Turn the camera about the vertical through its target [deg].
   function turn(angle) {
     const { position } = viewer.camera, { target } = viewer.controls, a = angle * Math.PI / 180;
     const [x, z] = [position.x - target.x, position.z - target.z];
@@ -131,11 +131,11 @@ const pm3dof = (() => {
 
   const PREFIXES = { "-9": "n", "-6": "\u00b5", "-3": "m", 0: "", 3: "k", 6: "M", 9: "G" };
 
-  // As a person writes it: 27.8 MN/m, 41.2 µm; several numbers with the prefix of the greatest, but for those far below it.
+  // In engineering notation: 27.8 MN/m, 41.2 µm; several numbers share the prefix of the greatest, except much smaller ones.
   function engineering(values, unit, digits = 3) {
     const all = [values].flat(), greatest = Math.max(...all.map(Math.abs));
     const parts = all.map((number) => {
-      const value = Math.abs(number) < 1e-12 * greatest ? 0 : number; // but for what is left of zero
+      const value = Math.abs(number) < 1e-12 * greatest ? 0 : number; // treat rounding errors as zero
       const size = value !== 0 && Math.abs(value) < 1e-3 * greatest ? Math.abs(value) : greatest;
       const known = size > 0 && Number.isFinite(size) && unit !== "1";
       const power = known ? Math.min(9, Math.max(-9, 3 * Math.floor(Math.log10(size * 1.0005) / 3))) : 0;
@@ -146,7 +146,7 @@ const pm3dof = (() => {
     return shared ? parts.map(([text]) => text).join(" \u00b7 ") + parts[0][1] : parts.map((part) => part.join("")).join(" \u00b7 ");
   }
 
-  // Zero has no sign.
+  // Write zero without a sign.
   const fixed = (number, digits) => number.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
 
   const untorn = (text) => text.replaceAll("N m", "N\u00a0m");
@@ -213,7 +213,7 @@ const pm3dof = (() => {
     return made;
   }
 
-  // The line of an entry, of a class: "values", or "line" for the first one below.
+  // The line of an entry with a class: "values", or "line" for the first one below.
   function lineOf(entry, name) {
     return [...document.querySelectorAll(".entry")].find(({ dataset }) => dataset.key === entry.key).querySelector(`.${name}`);
   }
@@ -222,7 +222,7 @@ const pm3dof = (() => {
     lineOf(entry, "values").textContent = untorn(text);
   }
 
-  // Show, hide or paint what an entry of the legend stands for.
+  // Show, hide or paint the item of an entry of the legend.
   function applyEntry(entry) {
     const visible = isShown(entry);
     entry.nodes.forEach((path) => { node(path).object.visible = visible && !entry.stale; });
@@ -242,11 +242,11 @@ const pm3dof = (() => {
 
   // -------------------------------------------------------------------------------------------- sliders
 
-  // As `reading` in pm3dof_pin/viewer/sliders.py.
+  // Same as `reading` in pm3dof_pin/viewer/sliders.py.
   const written = ({ slider }, value) => fixed(value * slider.factor, slider.digits);
   const reading = (number, value) => `${number.name}\u00a0${written(number, value).replace("-", "\u2212")}${number.slider.unit}`;
 
-  // One row for each number of the active set, and a tab for each set.
+  // A row for each number of the active set, and a tab for each set.
   function showSliders() {
     const form = document.getElementById("controls");
     form.hidden = !(robot && robot.data.sets.length);
@@ -297,7 +297,7 @@ const pm3dof = (() => {
     tell("entries");
   }
 
-  // Buttons for the other ways to assemble the machine at the same numbers of the active set.
+  // Buttons for the other assembly modes at the same numbers of the active set.
   function showAssemblies() {
     const row = document.getElementById("assemblies"), set = robot.data.sets[activeSet];
     const found = robot.assemblies(set, pose.values(set));
@@ -313,7 +313,7 @@ const pm3dof = (() => {
     return found.length;
   }
 
-  // Put the sliders where the pose is; but not one that is being moved.
+  // Move the sliders to the pose, except one that is being dragged.
   function setSliders(moving = null) {
     const set = robot.data.sets[activeSet], values = pose.values(set);
     document.querySelectorAll("#sliders label").forEach((row, index) => {
@@ -323,9 +323,9 @@ const pm3dof = (() => {
     });
   }
 
-  // Bring one number of a set, the active one if none is given, to a value [m, rad].
+  // Bring one number of a set, by default the active one, to a value [m, rad].
   function slide(index, value, set = robot.data.sets[activeSet]) {
-    const start = pose.residual < 1e-6 ? pose : robot.home(); // loops that are open say nothing
+    const start = pose.residual < 1e-6 ? pose : robot.home(); // not from open loops
     const wanted = start.values(set);
     wanted[index] = value;
     const found = robot.moved(start, set, wanted);
@@ -334,7 +334,7 @@ const pm3dof = (() => {
     } else {
       showNote(
         [set.numbers.map((number, k) => reading(number, wanted[k])).join(", "), "The picture stays at the last pose found."],
-        ["Out of reach: the loops do not close there, or a singular pose is in between."],
+        ["Out of reach: the loops do not close there, or a singular pose lies in between."],
       );
     }
   }
@@ -360,7 +360,7 @@ const pm3dof = (() => {
     tell("pose");
   }
 
-  // Bring all that is drawn for the pose up to it; what the page cannot compute is left behind.
+  // Update everything drawn for the pose; items that the page cannot compute are hidden.
   function followAll(others = leaveBehind) {
     const elastic = complianceOf(pose);
     panel.legend.forEach((entry) => (entry.live ? follow(entry, elastic) : others(entry)));
@@ -372,10 +372,10 @@ const pm3dof = (() => {
     return panel.legend.some(({ live }) => live && live.kind !== "forces") ? robot.compliance(found) : null;
   }
 
-  // What is said near singular poses: how much more, or less, than at home the tool moves for the same commands.
+  // Note near singular poses: how much more, or less, than at home the tool moves for the same commands.
   function singular(found) {
     const gains = robot.gains(found);
-    if (!gains) return robot.programs.motion ? ["At a singular pose, or next to one."] : [];
+    if (!gains) return robot.programs.motion ? ["At or next to a singular pose."] : [];
     robot.homeGains ??= robot.gains(robot.home());
     if (!robot.homeGains) return [];
     const [slow, fast] = gains.map((gain, k) => gain / robot.homeGains[k]);
@@ -384,12 +384,12 @@ const pm3dof = (() => {
     return [];
   }
 
-  // As Viewer._note does in pm3dof_pin/viewer/viewer.py.
+  // Same as Viewer._note in pm3dof_pin/viewer/viewer.py.
   function outsideLimits(broken) {
-    return broken.length ? ["Out of reach within the limits of the joints:", ...broken] : [];
+    return broken.length ? ["Outside the joint limits:", ...broken] : [];
   }
 
-  // What was computed elsewhere for another pose is not shown at this one.
+  // Hide items computed elsewhere for another pose.
   function leaveBehind(entry) {
     if (!entry.of_pose) return;
     entry.stale = true;
@@ -397,7 +397,7 @@ const pm3dof = (() => {
     applyEntry(entry);
   }
 
-  // Go on with what was computed for the pose before; with C at the tool, or null where there is none.
+  // Update items computed for the previous pose, with C at the tool, or null if there is none.
   function follow(entry, compliance) {
     entry.stale = false;
     try {
@@ -421,7 +421,7 @@ const pm3dof = (() => {
     setValues(entry, engineering(values, entry.live.unit));
   }
 
-  // The scale of an entry, or a tenth, a hundredth of it where the greatest value would be drawn far too long.
+  // The scale of an entry, or a tenth or hundredth of it if the greatest value would be drawn far too long.
   function fittingScale(entry, greatest, what) {
     const { length, unit } = entry.live;
     let { scale } = entry.live;
@@ -454,7 +454,7 @@ const pm3dof = (() => {
     if (!compliance) throw "no stiffness in this pose";
     const { names, springs, stops, wrench } = entry.live;
     const shares = robot.shares(pose, springs, wrench);
-    if (!shares.every(Number.isFinite)) throw "no spring gives under this load";
+    if (!shares.every(Number.isFinite)) throw "no spring deflects under this load";
     entry.paint.forEach((item) => { item.colour = blend(stops, shares[item.leg]); });
     const parts = shares.map((share, leg) => `${names[leg]}: ${fixed(100 * share, 1)} %`);
     const given = Robot.apply(compliance, wrench);
@@ -462,7 +462,7 @@ const pm3dof = (() => {
     setValues(entry, [...parts, `deflection ${engineering(shift, "m")}, ${engineering(tilt, "rad")}`].join("\n"));
   }
 
-  // The colour at a place between 0 and 1 of a list of colours.
+  // The colour at a place between 0 and 1 of a colour scale.
   function blend(stops, place) {
     const at = Math.min(1, Math.max(0, place)) * (stops.length - 1);
     const below = Math.min(Math.floor(at), stops.length - 2);
@@ -474,7 +474,7 @@ const pm3dof = (() => {
   function connect() {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss:" : "ws:"}//${location.host}/socket`);
     socket.onmessage = (event) => receive(JSON.parse(event.data));
-    socket.onclose = () => showNote(["The program that served this page has ended.", "What is shown stays usable."]);
+    socket.onclose = () => showNote(["The program that served this page has ended.", "The page remains usable."]);
   }
 
   const start = () => {
@@ -483,7 +483,7 @@ const pm3dof = (() => {
     if (document.body.dataset.socket === "yes") connect();
   };
 
-  // A pose without its sliders having been moved: of a path that plays, and brings what the page cannot compute along.
+  // A pose not set by sliders: of a playing path, which provides what the page cannot compute.
   function setPose(found) {
     pose = found;
     setSliders();

@@ -1,4 +1,4 @@
-// A path: its scrubber, and a plot of a quantity along it that is clicked to go there.
+// A path: its scrubber, and a plot of a quantity along it; a click goes there.
 "use strict";
 
 (() => {
@@ -17,7 +17,7 @@
     return made;
   };
 
-  // What can be plotted: a title, the names of its lines, its unit, and the numbers of a pose.
+  // Quantities that can be plotted: title, names of the lines, unit, and the numbers of a pose.
   function choices() {
     const robot = pm3dof.robot(), made = [];
     robot.data.sets.forEach((set) => {
@@ -74,7 +74,7 @@
     fill();
   }
 
-  // What the page computes itself, of what the reader chose, is not moved by the animation, too.
+  // Items that the page computes for the user's options are not animated as well.
   function takeOver() {
     const { animator } = viewer, live = pm3dof.panel().legend.filter((entry) => entry.live);
     const own = new Set(live.flatMap(({ nodes }) => nodes.map((name) => pm3dof.node(name).object)));
@@ -163,7 +163,7 @@
     label();
   }
 
-  // While the path plays, numbers, sliders and the cursor follow it.
+  // Numbers, sliders and the cursor follow the playing path.
   function watch() {
     requestAnimationFrame(watch);
     if (!path || viewer.animator.time === time) return;

@@ -1,13 +1,13 @@
-// The pointer: what a body is, when it is over one; and bodies that are dragged take the machine along.
+// The pointer: texts about the body under it, and bodies dragged with the machine.
 "use strict";
 
 (() => {
   const { viewer, node, element, engineering, fixed } = pm3dof;
   const { THREE } = MeshCat;
   const pane = document.getElementById("meshcat-pane"), tip = document.getElementById("tip");
-  const ROUNDS = 4; // steps towards the pointer for each of its moves
+  const ROUNDS = 4; // steps towards the pointer per pointer event
   const ray = new THREE.Raycaster();
-  let grip = null; // what is dragged: joint, its point in the joint's frame, the plane it moves in
+  let grip = null; // what is dragged: joint, point in the joint frame, plane of motion
 
   function aim({ clientX, clientY }) {
     const box = pane.getBoundingClientRect();
@@ -15,7 +15,7 @@
     ray.setFromCamera(at, viewer.camera);
   }
 
-  // The body under the pointer and the point of it, in the world of three.js.
+  // The body under the pointer and the point on it, in three.js world coordinates.
   function hit(event) {
     const robot = pm3dof.robot();
     if (!robot) return null;
@@ -29,7 +29,7 @@
     return null;
   }
 
-  // Lines about a body in the pose that is shown.
+  // Lines about a body at the displayed pose.
   function about(body) {
     const robot = pm3dof.robot(), pose = pm3dof.pose(), lines = [...body.about];
     if (body.actuator !== null && robot.data.commands.length) {
@@ -44,7 +44,7 @@
     const painted = shares && shares.paint.find(({ path }) => path.startsWith(`${body.path}/`));
     if (painted && robot.compliance(pose)) {
       const [share] = robot.shares(pose, [shares.live.springs[painted.leg]], shares.live.wrench);
-      if (Number.isFinite(share)) lines.push(`its leg gives ${fixed(100 * share, 1)} % of the deflection under the load`);
+      if (Number.isFinite(share)) lines.push(`its leg contributes ${fixed(100 * share, 1)} % of the deflection under the load`);
     }
     return lines;
   }
@@ -83,7 +83,7 @@
     if (point) drag(grip.joint, grip.local, viewer.scene.worldToLocal(point).toArray());
   }
 
-  // Bring a point of a joint's body as near to a target as the robot lets it [m].
+  // Bring a point of a joint's body as near to a target as the robot permits [m].
   function drag(joint, local, target) {
     const robot = pm3dof.robot();
     let pose = pm3dof.pose();

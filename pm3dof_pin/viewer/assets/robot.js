@@ -1,31 +1,31 @@
-// A robot that moves with its loops closed: what the sliders of the page need. The arithmetic of the robot is done by the
-// functions in `programs`, which Python has traced from its model and printed before this; here is what holds for every
-// robot: going from pose to pose, and the linear algebra of ellipsoids.
+// A robot that moves with closed loops, for the sliders of the page. Robot-specific arithmetic is in the functions of
+// `programs`, traced from its model by Python and printed before this; here is what is common to all robots: moving from
+// pose to pose, and the linear algebra of ellipsoids.
 //
-// Numbers are in SI units and radians, matrices lists of rows, transforms 16 numbers in the order of three.js (column
-// after column).
+// Numbers are in SI units and radians, matrices lists of rows, transforms 16 numbers in column-major order, as in
+// three.js.
 "use strict";
 
 const Robot = (() => {
-  const LEG = 0.1; // longest way of the coordinates in one go [rad, characteristic lengths]
+  const LEG = 0.1; // largest step of the coordinates [rad, characteristic lengths]
   const SHORTEST_LEG = LEG / 256;
-  const FAR = 100; // no way is longer [rad, characteristic lengths]
-  const JUMP = 0.5; // longest way of a joint in one go [rad, characteristic lengths]
-  const NEARLY_CLOSED = 1e-8; // from here one quadratic step ends in rounding [m, rad]
+  const FAR = 100; // longest path [rad, characteristic lengths]
+  const JUMP = 0.5; // largest step of a joint [rad, characteristic lengths]
+  const NEARLY_CLOSED = 1e-8; // from here one quadratic step reaches rounding [m, rad]
   const STEPS = 8;
   const FAR_STEPS = 60;
   const PULL_STEP = 1e-5; // for the derivative by a coordinate, in characteristic lengths or 0.6 rad
-  const PULL_DAMPING = 0.02; // characteristic lengths: what a point gives way near singular poses
-  const RIGID = 1e-14; // of the greatest square of a velocity: what is less is rounding
-  const SHARE_STEP = 1e-4; // relative change of a spring, for the derivative that is its share
+  const PULL_DAMPING = 0.02; // compliance of the dragged point near singular poses [characteristic lengths]
+  const RIGID = 1e-14; // relative to the greatest squared velocity: less is rounding
+  const SHARE_STEP = 1e-4; // relative change of a spring, for the derivative that gives its share
 
   const dot = (a, b) => a.reduce((sum, entry, index) => sum + entry * b[index], 0);
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const norm = (a) => Math.sqrt(dot(a, a));
   const apply = (matrix, a) => matrix.map((row) => dot(row, a));
 
-  // Inverse of a symmetric positive definite matrix, by Gauss and Jordan after its diagonal is scaled to ones: newtons
-  // per metre stand beside newton metres per radian.
+  // Inverse of a symmetric positive definite matrix, by Gauss-Jordan after scaling to a unit diagonal, since units are
+  // mixed.
   function inverse(matrix) {
     const n = matrix.length;
     const scale = matrix.map((row, i) => 1 / Math.sqrt(row[i]));
@@ -48,7 +48,7 @@ const Robot = (() => {
     return work.map((row, i) => row.slice(n).map((entry, j) => entry * scale[i] * scale[j]));
   }
 
-  // Eigenvalues of a symmetric matrix and axes as columns, by Jacobi's rotations.
+  // Eigenvalues of a symmetric matrix and axes as columns, by Jacobi rotations.
   function eigen(matrix) {
     const a = matrix.map((row) => row.slice()), n = a.length;
     const v = a.map((_, i) => a.map((__, j) => (i === j ? 1 : 0)));
@@ -70,7 +70,7 @@ const Robot = (() => {
     return { values: a.map((row, k) => row[k]), axes: v };
   }
 
-  // Principal values, the least first, and axes as columns of a right-handed frame, of a symmetric 3 x 3 matrix.
+  // Ascending principal values of a symmetric 3 x 3 matrix, and axes as columns of a right-handed frame.
   function principal(block) {
     const { values, axes: v } = eigen(block);
     const order = [0, 1, 2].sort((i, j) => values[i] - values[j]);
@@ -90,13 +90,13 @@ const Robot = (() => {
     return result;
   }
 
-  // The transform that makes a unit sphere an ellipsoid, or a unit arrow an arrow.
+  // The transform from a unit sphere to an ellipsoid, or from a unit arrow to an arrow.
   function stretched(axes, lengths, position) {
     const [x, y, z] = [0, 1, 2].map((column) => axes.map((row) => row[column] * lengths[column]));
     return [...x, 0, ...y, 0, ...z, 0, ...position, 1];
   }
 
-  // A rotation that takes the z axis to a direction, as rows.
+  // A rotation from the z axis to a direction, as rows.
   function turnZTo(direction) {
     const size = norm(direction), z = direction.map((entry) => entry / size);
     const sizes = z.map(Math.abs), least = sizes.indexOf(Math.min(...sizes));
@@ -106,7 +106,7 @@ const Robot = (() => {
   }
 
   class Pose {
-    // What the program `place` says of joint positions.
+    // The result of the program `place` for joint positions.
     constructor(robot, q) {
       this.q = q;
       this.robot = robot;
@@ -114,7 +114,7 @@ const Robot = (() => {
       robot.programs.place(q, this.numbers);
     }
 
-    // Rows of rotation and translation of a joint, shape 3 x 4; the tool comes after the joints.
+    // Rows of rotation and translation of a joint, shape 3 x 4; the tool follows the joints.
     rows(index) {
       return [0, 4, 8].map((first) => [...this.numbers.subarray(12 * index + first, 12 * index + first + 4)]);
     }
@@ -163,7 +163,7 @@ const Robot = (() => {
       });
     }
 
-    // Every joint and closure outside its range, in words.
+    // Descriptions of all joints and closures outside their ranges.
     brokenLimits() {
       const { joints, swings } = this.robot.data.limits;
       const readings = [
@@ -194,8 +194,8 @@ const Robot = (() => {
       return this.pose(this.data.home);
     }
 
-    // The pose at values of a set's numbers, by way of poses between, in the assembly mode of the pose it starts from;
-    // null where loops do not close, or a singular pose is in between.
+    // The pose at values of a set's numbers, reached through intermediate poses in the assembly mode of the start; null
+    // if loops do not close, or a singular pose lies in between.
     moved(pose, set, values) {
       const start = set.numbers.length ? pose.values(set) : [];
       const sizes = set.numbers.map(({ unit }) => (unit === "m" ? this.data.length : 1));
@@ -219,7 +219,7 @@ const Robot = (() => {
     }
 
     // All poses at values of a set's numbers that damped steps from random starts find: other assembly modes of the same
-    // machine. None is promised to be found; what is found is closed.
+    // machine. The search may miss some; those found are closed.
     assemblies(set, values, starts = 150) {
       const found = [];
       for (let start = 0; start < starts; start++) {
@@ -232,7 +232,7 @@ const Robot = (() => {
       return found.sort((a, b) => a.brokenLimits().length - b.brokenLimits().length);
     }
 
-    // Joint positions at random, within the limits where there are such.
+    // Random joint positions, within the limits if there are any.
     randomPose() {
       const q = Float64Array.from(this.data.home);
       this.data.joints.forEach(({ index, size, slides }) => {
@@ -244,7 +244,7 @@ const Robot = (() => {
       return this.normalised(q);
     }
 
-    // Whole turns taken out of the angles that a set does not give: random starts wind joints up.
+    // Remove whole turns from angles that a set does not give: random starts wind joints up.
     unwound(q, set) {
       const given = set.numbers.filter(({ joint }) => joint).map(({ joint }) => joint.index);
       this.data.joints.filter(({ index, size, slides }) => size === 1 && !slides && !given.includes(index)).forEach(({ index }) => {
@@ -255,7 +255,7 @@ const Robot = (() => {
       return q;
     }
 
-    // Pairs (cos, sin) and quaternions of length 1.
+    // Normalise pairs (cos, sin) and quaternions.
     normalised(q) {
       this.data.joints.filter(({ size }) => size > 1).forEach(({ index, size }) => {
         const part = q.subarray(index, index + size), length = norm([...part]) || 1;
@@ -264,7 +264,7 @@ const Robot = (() => {
       return q;
     }
 
-    // Newton's method with steps cut short, from far away; null if it does not settle.
+    // Newton's method with limited steps, for distant starts; null if it does not settle.
     settled(start, set, values) {
       const close = this.programs[set.program], n = start.length;
       const given = set.order.map((k) => (values[k] - set.numbers[k].offset) / set.numbers[k].scale);
@@ -274,20 +274,20 @@ const Robot = (() => {
         close(Float64Array.from([...q, 1, 0, ...given]), output);
         const jump = output[n + 1], residual = output[n + 2];
         if (!Number.isFinite(jump)) return null;
-        const part = step ? Math.min(1, JUMP / jump) : 1; // the first step brings the given joints to their places
+        const part = step ? Math.min(1, JUMP / jump) : 1; // the first step places the given joints
         q = this.normalised(q.map((entry, k) => entry + part * (output[k] - entry)));
         if (step && residual < NEARLY_CLOSED && jump < NEARLY_CLOSED) return q;
       }
       return null;
     }
 
-    // The pose at values of a set's numbers next to joint positions; null if there is none.
+    // The pose at values of a set's numbers near joint positions; null if there is none.
     near(q, set, values) {
       const found = this.closed(Float64Array.from(q), set, values);
       return found && new Pose(this, found.q);
     }
 
-    // Newton's method with a set's numbers given: joint positions, and on which side of singular poses they are.
+    // Newton's method for a set's numbers: joint positions, and their side of singular poses.
     closed(start, set, values) {
       const close = this.programs[set.program], n = start.length;
       const given = set.order.map((k) => (values[k] - set.numbers[k].offset) / set.numbers[k].scale);
@@ -296,7 +296,7 @@ const Robot = (() => {
       for (let step = 0; step < STEPS; step++) {
         close(input, output);
         const margin = output[n], jump = output[n + 1], residual = output[n + 2];
-        if (!(jump < JUMP)) return null; // or not a number
+        if (!(jump < JUMP)) return null; // also for NaN
         if (sign !== null && Math.sign(margin) !== sign) return null;
         sign = Math.sign(margin);
         input.set(output.subarray(0, n + 2));
@@ -305,7 +305,7 @@ const Robot = (() => {
       return null;
     }
 
-    // C at the tool, twist = C wrench, or null where there is none or it is in doubt.
+    // C at the tool, twist = C wrench, or null if there is none or it is in doubt.
     compliance(pose, springs = this.programs.springs) {
       if (!this.programs.compliance || this.data.lengths.some(({ index, at_zero }) => !(pose.q[index] + at_zero > 0))) return null;
       const numbers = new Float64Array(this.programs.compliance_size);
@@ -314,7 +314,7 @@ const Robot = (() => {
       return [0, 6, 12, 18, 24, 30].map((first) => [...numbers.subarray(first, first + 6)]);
     }
 
-    // Twists of the tool for one standard deviation of each error, and for one unit of each command, as rows; null where
+    // Twists of the tool for one standard deviation of each error, and for one unit of each command, as rows; null if
     // there are none or they are in doubt.
     motions(pose) {
       if (!this.programs.motion) return null;
@@ -327,7 +327,7 @@ const Robot = (() => {
       return { errors: part(0, sigmas), commands: part(6 * sigmas.length, commands.map(({ scale }) => 1 / scale)) };
     }
 
-    // Principal values and axes of what an ellipsoid shows; a text where there is none. With C at the tool, if there is one.
+    // Principal values and axes of an ellipsoid, or a text if there is none; C at the tool is used if given.
     ellipsoid(pose, live, compliance) {
       const { motion, of } = live;
       if (of === "stiffness" || of === "compliance") {
@@ -346,9 +346,9 @@ const Robot = (() => {
       return { values: roots.map((value) => 1 / value).reverse(), axes: axes.map(([x, y, z]) => [z, y, -x]) };
     }
 
-    // How fast the tool moves for commands of unit speed together, slowest and fastest, lengths in characteristic ones;
-    // null where that is in doubt. The fastest grows without bound towards a pose in which drives lose the platform, the
-    // slowest vanishes where they cannot move it.
+    // Slowest and fastest tool motion for commands of unit norm, in characteristic lengths; null if in doubt. The fastest
+    // is unbounded near a pose at which the drives lose control of the platform, the slowest vanishes where they cannot
+    // move it.
     gains(pose) {
       const motions = this.motions(pose);
       if (!motions) return null;
@@ -360,8 +360,8 @@ const Robot = (() => {
       return [Math.sqrt(Math.max(0, values[Math.min(6, values.length) - 1])), Math.sqrt(values[0])];
     }
 
-    // The pose in which a point fixed to a joint's body is nearer to a target, by damped least squares over a set; null
-    // if there is none.
+    // The pose with a point of a joint's body nearer to a target, by damped least squares over a set; null if there is
+    // none.
     pulled(pose, set, joint, local, target) {
       const place = (p) => p.rows(joint).map((row) => row[0] * local[0] + row[1] * local[1] + row[2] * local[2] + row[3]);
       const values = pose.values(set), point = place(pose);
@@ -387,7 +387,7 @@ const Robot = (() => {
       return this.moved(pose, set, wanted);
     }
 
-    // The 3 x 3 block that an ellipsoid shows, as pm3dof_pin.viewer.ellipsoids.block does.
+    // The 3 x 3 block that an ellipsoid shows, as pm3dof_pin.viewer.ellipsoids.block.
     block(compliance, { motion, of, others }) {
       const start = motion === "translation" ? 0 : 3;
       const cut = (matrix) => matrix.slice(start, start + 3).map((row) => row.slice(start, start + 3));
@@ -396,8 +396,8 @@ const Robot = (() => {
       return held === (of === "stiffness") ? block : inverse(block);
     }
 
-    // Share of each spring in the deflection under a wrench: the derivative of its logarithm by that of the spring's
-    // compliance, as the springs take up what makes their energy least.
+    // Share of each spring in the deflection under a wrench: the logarithmic derivative by the spring's compliance, since
+    // the springs minimise their energy.
     shares(pose, springs, wrench) {
       const deflection = (places, factor) => {
         const numbers = this.programs.springs.slice();
@@ -410,7 +410,7 @@ const Robot = (() => {
       });
     }
 
-    // Actuator forces that hold the weight; null where there are none, as in a singular pose.
+    // Actuator forces that hold the weight; null if there are none, as at a singular pose.
     holdingForces(pose) {
       if (!this.programs.holding) return null;
       const numbers = new Float64Array(this.programs.holding_size);

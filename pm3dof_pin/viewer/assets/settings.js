@@ -1,4 +1,4 @@
-// Light and dark, keys, and a link that holds what is shown.
+// Light and dark theme, keys, and a link to the displayed state.
 "use strict";
 
 (() => {
@@ -15,7 +15,7 @@
     theme = name;
     document.documentElement.dataset.theme = name;
     const background = pm3dof.node("/Background").object;
-    if (!light.top_color) Object.keys(DARK).forEach((key) => { light[key] = background[key].map((part) => part / 255); }); // meshcat keeps bytes
+    if (!light.top_color) Object.keys(DARK).forEach((key) => { light[key] = background[key].map((part) => part / 255); }); // meshcat stores bytes
     const colours = name === "dark" ? DARK : light;
     Object.entries(colours).forEach(([key, colour]) => viewer.set_property(["Background"], key, colour));
     const { material } = pm3dof.node("/floor/plate/<object>").object;
@@ -26,7 +26,7 @@
     viewer.set_dirty();
   }
 
-  // The reader's choice, which goes into the link.
+  // The user's choice, which is included in the link.
   function chooseTheme(name) {
     document.documentElement.dataset.chosen = "yes";
     setTheme(name);
@@ -56,7 +56,7 @@
     select.dispatchEvent(new Event("change"));
   }
 
-  // Digits go to a slider, which arrow keys then move.
+  // Digits select a slider, which arrow keys then move.
   function pressed(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.target.matches("input[type=number], select, textarea")) return;
@@ -69,14 +69,14 @@
 
   // ----------------------------------------------------------------------------------------------- link
 
-  // What is shown, for the part of the address behind "#".
+  // The displayed state, for the fragment of the URL.
   function written() {
     const robot = pm3dof.robot(), parts = new URLSearchParams(), choice = pm3dof.choice(), wrench = pm3dof.wrench();
     if (robot) {
       const pose = pm3dof.pose(), [set] = robot.data.sets, short = (values) => [...values].map((value) => Number(value.toPrecision(9))).join(",");
       const values = set ? pose.values(set) : [], usual = set && robot.moved(robot.home(), set, values);
       parts.set("pose", short(values));
-      // another assembly mode than the one home leads to has all joints in the link
+      // for assembly modes other than that of home, the link contains all joints
       if (!usual || usual.q.some((entry, k) => Math.abs(entry - pose.q[k]) > 1e-6)) parts.set("q", short(pose.q));
       if (robot.data.sets.indexOf(pm3dof.set()) > 0) parts.set("sliders", robot.data.sets.indexOf(pm3dof.set()));
     }
@@ -100,7 +100,7 @@
 
   const listed = (text) => (text || "").split(",").map(Number);
 
-  // Show what an address says; what it does not say, or says of another robot, stays.
+  // Restore the state of a URL; what it lacks, or says of another robot, is unchanged.
   function follow(text) {
     const parts = new URLSearchParams(text), robot = pm3dof.robot();
     if (["light", "dark"].includes(parts.get("theme"))) chooseTheme(parts.get("theme"));

@@ -1,4 +1,4 @@
-// The workspace: which quantity colours it, and a plane that cuts it open.
+// The workspace: the quantity that colours it, and a plane that cuts it.
 "use strict";
 
 (() => {
@@ -15,10 +15,10 @@
     const layers = element(row, "select");
     cut.layers.forEach(({ name }, index) => { element(layers, "option", "", name).value = index; });
     layers.hidden = cut.layers.length < 2;
-    layers.title = "what the colours show";
+    layers.title = "quantity shown by the colours";
     const axis = element(row, "select"), place = element(row, "input");
     AXES.forEach((name, index) => { element(axis, "option", "", `cut ${name}`).value = index; });
-    Object.assign(place, { type: "range", min: 0, max: 1, step: 0.005, title: "how much is left" });
+    Object.assign(place, { type: "range", min: 0, max: 1, step: 0.005, title: "position of the cut" });
     const apply = () => {
       Object.assign(state, { layer: Number(layers.value), axis: Number(axis.value), part: place.valueAsNumber });
       colour(entry);
@@ -61,7 +61,7 @@
     viewer.set_dirty();
   }
 
-  // Leave what is below a plane across an axis of the machine.
+  // Keep what is below a plane normal to an axis of the machine.
   function clip({ corners: [low, high], nodes }) {
     const { axis, part } = state, normal = new THREE.Vector3(), point = new THREE.Vector3();
     normal.setComponent(axis, -1);
