@@ -52,7 +52,7 @@ def compensate(
     wrench: Wrench = None,
     as_json: Json = False,
 ) -> None:
-    """Commands that take the calibrated machine to one pose or many: angles in degrees, lengths in metres.
+    """Compute commands that take the calibrated machine to one pose or many: angles in degrees, lengths in metres.
 
     Differences are motions of the drives. A pose that breaks a joint limit is still computed, with a message and exit
     status 1.

@@ -90,7 +90,7 @@ def error_map(
     engine: EngineOption = "program",
     as_json: Json = False,
 ) -> None:
-    """Tool errors caused by errors of the parts, over a section of the workspace, and the critical parameters.
+    """Map the tool errors caused by errors of the parts over a section, and rank the critical parameters.
 
     With --budget, or an option that implies it, errors are also listed by source: parts, temperature, loads, drives,
     vibration. Their magnitudes are in the error file too; those it omits have documented defaults.

@@ -50,7 +50,7 @@ def evaluate(
     points: Annotated[
         int | None, typer.Option(min=2, help="Number of values of each coordinate (about 100,000 poses in all).")
     ] = None,
-    pictures: Annotated[bool, typer.Option(help="Draw which spring governs where.")] = True,
+    pictures: Annotated[bool, typer.Option(help="Draw which springs govern where.")] = True,
     formats: Formats = None,
     threads: Threads = None,
     engine: EngineOption = "program",

@@ -29,7 +29,7 @@ def export(
     """Export a robot for another tool, with its loops closed: mjcf, sdf, drake, gepetto, ros, urdf.
 
     mjcf is for MuJoCo; sdf is SDFormat; drake is a URDF for Drake; gepetto is the layout of example-parallel-robots;
-    ros is a ROS 2 package; urdf is the URDF with its closures file, error file and SRDF. Mesh files are copied next to
+    ros is a ROS 2 package; urdf is the URDF with its closures file, error file and SRDF. Mesh files are written next to
     it; --no-meshes omits them.
     """
     from pm3dof_pin.exceptions import DescriptionError

@@ -38,7 +38,7 @@ Commands = Annotated[
     typer.Argument(
         metavar="U",
         parser=finite_number,
-        help="The robot's commands in their order, lengths [m], angles [deg]; `pm3dof info` names them.",
+        help="The robot's commands in order, lengths [m], angles [deg]; `pm3dof info` lists them.",
     ),
 ]
 
@@ -79,7 +79,7 @@ def fk(
     """Compute the pose for drive commands (forward kinematics): lengths in metres, angles in degrees.
 
     Without --all, this is the pose reached from home. A pose that breaks a joint limit is still computed, with a
-    message and exit status 1. So are the other assembly modes under --all if none can be reached from home.
+    message and exit status 1. With --all, exit status 1 also means that no listed mode is reached from home.
     """
     chosen = PoseOptions(pose=u, configuration=configuration, poses=poses, out=out)
     if all_modes and (not which.is_the_tripod or poses is not None):

@@ -97,7 +97,7 @@ Values = Annotated[
         "--at",
         "NAME VALUE",
         CoordinateRange.parse_value,
-        "Value of a fixed coordinate [deg, m]; may be repeated. Home by default.",
+        "Value of a fixed coordinate [deg, m]; may be repeated.",
     ),
 ]
 Quantities = Annotated[
