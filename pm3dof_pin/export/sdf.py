@@ -109,7 +109,9 @@ class _Writer:
         for tag, bound in (("lower", joint.lower), ("upper", joint.upper)):
             if bound is not None:
                 SubElement(limit, tag).text = number_text(bound - self._robot.home_position(joint))
-        for tag, greatest in (("effort", joint.effort), ("velocity", joint.velocity)):
+        is_actuated = joint.name in self._robot.mechanism.actuated_joints
+        effort = (joint.effort or None) if is_actuated else joint.effort  # a drive with effort 0 is no drive in Drake
+        for tag, greatest in (("effort", effort), ("velocity", joint.velocity)):
             if greatest is not None:
                 SubElement(limit, tag).text = number_text(greatest)
         if joint.damping or joint.friction:

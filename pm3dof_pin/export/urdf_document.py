@@ -118,7 +118,7 @@ class Joint:
     lower: float | None
     upper: float | None
     effort: float | None
-    velocity: float | None
+    velocity: float | None  #: None if it is not known, and 0 stands for it
     damping: float
     friction: float
 
@@ -261,7 +261,7 @@ class _Reader:
             lower=self._number(limit, "lower", 0.0) if is_limited else None,
             upper=self._number(limit, "upper", 0.0) if is_limited else None,
             effort=self._number(limit, "effort", 0.0) if limit is not None else None,
-            velocity=self._number(limit, "velocity", 0.0) if limit is not None else None,
+            velocity=self._number(limit, "velocity", 0.0) or None,
             damping=self._number(dynamics, "damping", 0.0),
             friction=self._number(dynamics, "friction", 0.0),
         )
