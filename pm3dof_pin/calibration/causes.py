@@ -34,7 +34,7 @@ from pm3dof_pin.typing import Mask
 
 _EXPLAINS = 0.25  # greatest remaining fraction of the misfit
 _HALF = 0.5  # likewise, if the rest needs no mistake to explain it
-_AS_WELL = 4.0  # times the rest of the best explanation, if that leaves too much: up to here simpler ones are better
+_AS_WELL = 4.0  # times the rest of the best explanation, if that leaves too much: up to here, simpler ones win
 _EQUAL = 1.001  # times: the same mistake in other words
 _ALIKE = 1.5  # times the rest of another: not distinguishable from it
 _OTHERS = 2  # named after the first

@@ -122,8 +122,8 @@ class Identifiability:
     directions: Array
     #: base parameters: as many as the rank, chosen by pivoted QR, that explain all measurements
     base: tuple[str, ...]
-    #: for each other parameter, the combination of base parameters with the same effect as one unit of it [m, rad a m,
-    #: rad]; the two cannot be distinguished
+    #: for each other parameter, the combination of base parameters with the same effect as one unit of it [m, rad per
+    #: m, rad]; the two cannot be distinguished
     relations: dict[str, dict[str, float]]
 
     @property

@@ -37,7 +37,7 @@ _MAX_STEPS = 50
 _SMALL_STEP = 1e-6  # change of the residuals by a step, in units of their sigma
 _STUCK = 1e-4  # the same, for a step that only rounding keeps from shrinking further
 _NEAR = 1.0  # the same, below which the minimum is kept
-_BELIEVED = 4.0  # number of parameters off by their tolerance that the tolerances count as
+_BELIEVED = 4.0  # weight of the tolerances' own value, as a number of parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Identification:
     poses: Poses  #: of the calibrated machine at the commands
     residuals: Array  #: settled measurements minus calibrated machine, shape=(n, rows) [m, rad]
     weights: Array  #: robust weight of each measurement, 0 to 1, shape=(n,)
-    #: the weights over the variance of each coordinate's noise, scaled to good measurements on average, shape=(n, rows)
+    #: the weights over the noise variance of each coordinate, normalised by those of good measurements, shape=(n, rows)
     certainties: Array
     #: ratio of the residuals' scatter to the sigmas, the same for all coordinates of a kind, at least 1,
     #: shape=(rows,)
@@ -280,7 +280,7 @@ def identify(
     Args:
         measurements: poses, positions or points.
         errors: the parameters, with their tolerances.
-        prior: k, how many tolerances a parameter may be expected to be off. If infinite, there is no prior: what is not
+        prior: k, expected size of the parameters' errors in tolerances. If infinite, there is no prior: what is not
             identifiable stays at its nominal value, and its deviation is infinite.
         prior_error: relative standard error of k.
         loss: "squares", "huber", or "tukey" after Huber's.
@@ -322,7 +322,7 @@ def identify(
             return Identification.of(linear, fit, loss, prior_error, step)
         previous = length
     raise ConvergenceError(
-        "identification", length, "sigmas", _MAX_STEPS, "use a prior; check that they are of this machine"
+        "identification", length, "sigmas", _MAX_STEPS, "use a prior; check that the measurements are of this machine"
     )
 
 

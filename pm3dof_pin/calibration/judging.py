@@ -125,7 +125,7 @@ def _of_their_own_station(calibration: Calibration, measurements: Measurements) 
     reached = compensation.poses(compensation.errors.robot.forward(measurements.commands), measurements.conditions)
     found = measurements.registered_at(reached, compensation.eta)
     logger.warning(
-        "the validation was measured from another station, %.3g m away: its base is located separately, and errors |"
+        "the validation was measured from another station, %.3g m away: its base is located separately, and errors "
         "common to all poses are not judged",
         float(np.linalg.norm(difference[:3])),
     )

@@ -3,7 +3,7 @@
 Reweighting after Holland and Welsch (1977): first with Huber's weights, which have one minimum, then from there with
 Tukey's, which ignore gross outliers. Their scales are those of Huber's fit (V. Yohai's MM-estimates, 1987), so that
 each reweighting lowers the same sum. Positions, angles and encoders each have their own scale: on some robots, drive
-errors shift the tool and do not turn it.
+errors shift the tool but do not rotate it.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class Linearisation:
         return factors
 
     def certainties(self, fit: RobustFit, loss: Loss) -> Array:
-        """Return a fit's weights over the noise variance, scaled to good rows on average, shape=(n, rows)."""
+        """Return a fit's weights over the noise variance, normalised by those of good rows, shape=(n, rows)."""
         usual = _usual_weights(self.dimensions.sum(axis=1), loss)
         return np.asarray((fit.weights / usual)[:, None] / (self.kinds @ fit.noise_factors) ** 2)
 

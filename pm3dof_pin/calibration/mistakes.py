@@ -181,7 +181,7 @@ def _nearest_rows(measurements: Measurements, nominal: Poses) -> Indices:
 
 
 def _of_axes(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
-    """Yield axes swapped or mirrored: in the positions alone, or in whole poses as a left-handed frame."""
+    """Yield axes swapped or mirrored: in the positions alone, or in full poses as a left-handed frame."""
     rotations = measurements.rotations
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
