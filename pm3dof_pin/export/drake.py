@@ -31,11 +31,10 @@ def drake_text(robot: RobotDocument) -> str:
     """
     root = urdf_element(robot.with_meshes_of(MESH_KINDS))
     for joint in root.findall("joint"):
-        limit = joint.find("limit") if joint.get("name") in robot.mechanism.actuated_joints else None
-        for key in ("effort", "velocity") if limit is not None else ():
-            if float(limit.get(key, "0")) == 0.0:  # not known; Drake ignores such drives
-                limit.attrib.pop(key, None)
-    _fix_to_world(root, robot.urdf.root.name)
+        for limit in joint.findall("limit") if joint.get("name") in robot.mechanism.actuated_joints else ():
+            for key in ("effort", "velocity"):
+                if float(limit.get(key, "0")) == 0.0:  # not known; Drake ignores such drives
+                    limit.attrib.pop(key, None)
     for name in robot.mechanism.actuated_joints:
         if not any(joint.get("name") == name for joint in root.findall("transmission/joint")):
             _transmission(root, name)
