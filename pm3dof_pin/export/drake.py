@@ -35,6 +35,7 @@ def drake_text(robot: RobotDocument) -> str:
             for key in ("effort", "velocity"):
                 if float(limit.get(key, "0")) == 0.0:  # not known; Drake ignores such drives
                     limit.attrib.pop(key, None)
+    _fix_to_world(root, robot.urdf.root.name)
     for name in robot.mechanism.actuated_joints:
         if not any(joint.get("name") == name for joint in root.findall("transmission/joint")):
             _transmission(root, name)
