@@ -30,7 +30,7 @@ from pm3dof_pin.programs.geometry import frame_names
 from pm3dof_pin.typing import Array, Engine, Mask, Vector
 
 _POSES_TO_CLOSE_TOGETHER = 3
-_SMALL = 1e-3  # greatest errors [m, rad] for closing loops; displacements by other causes have unit size
+_SMALL = 1e-3  # largest errors [m, rad] with which closing is tested; displacements by other causes have unit size
 _POSES_TO_CLOSE_AT = 20  # at a single pose, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
@@ -300,7 +300,7 @@ class _Loops:
 
 
 def _inverses(matrices: Array) -> tuple[Array, Mask]:
-    """Return inverses, many times quicker than singular values, and where these leave no doubt of the rank."""
+    """Return inverses, much faster than by singular values, and where they leave no doubt about the rank."""
     if matrices.shape[1] == matrices.shape[2]:
         with contextlib.suppress(np.linalg.LinAlgError):  # some are singular
             inverses = np.linalg.inv(matrices)

@@ -255,7 +255,7 @@ class _SourcesAtPoses:
             along = self._by_drives[:, :, slides] * (numbers.pitch_m * scatter)
             beside = self._others("waviness") * (numbers.straightness_m * scatter)
             effects = np.concatenate([along, beside], axis=2)
-            yield self._source("waviness", "guides and screws, waving along their travel", effects, greatest=most)
+            yield self._source("waviness", "waviness of guides and screws", effects, greatest=most)
 
     def _thermal(self) -> Iterator[SourceErrors]:
         growth, sources, drift = self._sources.thermal_growth, self._sources, self._numbers.drift
@@ -268,19 +268,19 @@ class _SourcesAtPoses:
             amounts = np.array([members[name.split(" ", 1)[1]] for name in self._names("thermal")])
             together = together + self._others("thermal") @ amounts[:, None]
         if together.any() and sources.rise:
-            words = "growth of screws and members with the mean temperature"
+            words = "mean thermal growth of screws and members"
             yield self._uniform("thermal_growth", words, together * sources.rise)
         if together.any() and drift.warming_K_per_h * drift.hours:
             rates = together * drift.warming_K_per_h
-            yield self._drift("thermal_drift", "warming in the course of the job", rates)
+            yield self._drift("thermal_drift", "warming during the job", rates)
         between, count = self._numbers.thermal.between_drives_K, by_screw.shape[2]
         if between and by_screw.any() and count > 1:
             # independent rises minus their mean, which is the source above
             differences = by_screw @ (np.eye(count) - 1.0 / count) * between
-            yield self._uniform("thermal_gradient", "screws warmer or colder than their mean", differences)
+            yield self._uniform("thermal_gradient", "temperature differences between screws", differences)
         bent = self._bent() * (growth.expansion * self._numbers.thermal.across_K)
         if bent.any():
-            yield self._uniform("thermal_bending", "members bent by gradients across them", bent)
+            yield self._uniform("thermal_bending", "bending of members by temperature gradients", bent)
 
     def _bent(self) -> Array:
         """Effect of each kelvin across each member, over its expansion, shape=(n, 6, 2 members that bend)."""
@@ -307,7 +307,7 @@ class _SourcesAtPoses:
         under_weight = np.zeros((len(self._poses), 6))
         if load.own_weight or load.payload_kg:
             under_weight = weight.displacements(self._poses)
-            yield self._source("weight", "deflection under weight, and the payload's", shift=under_weight)
+            yield self._source("weight", "deflection under weight and payload", shift=under_weight)
         if sources.wrench.any():
             wrenches = np.tile(sources.wrench, (len(self._poses), 1))
             if sources.large:
@@ -325,14 +325,14 @@ class _SourcesAtPoses:
             effects = self._by_drives * (0.5 * backlash)
             yield self._source("backlash", "backlash of the drives", effects, repeats=False)
         if step.any():
-            yield self._uniform("encoder", "steps of the encoders", self._by_drives * (0.5 * step), repeats=False)
+            yield self._uniform("encoder", "encoder resolution", self._by_drives * (0.5 * step), repeats=False)
         yield from self._servo()
         if self._names("clearance"):
             reach = self._others("clearance") * self._numbers.clearance.play_m
             yield self._uniform("clearance", "clearance of passive joints", reach, repeats=False)
         rates = np.where(slides, drift.zeros_m_per_h, drift.zeros_rad_per_h)
         if rates.any() and drift.hours:
-            yield self._drift("drift", "zeros of the drives drifting during the job", self._by_drives * rates)
+            yield self._drift("drift", "drift of the drives' zeros during the job", self._by_drives * rates)
 
     def _servo(self) -> Iterator[SourceErrors]:
         """Following errors of the drives: their load over the servo's stiffness."""
@@ -348,11 +348,11 @@ class _SourcesAtPoses:
         if load.own_weight:
             pushed -= actuator_forces(self._robot, self._poses)
         shift = np.einsum("nij,nj->ni", self._by_drives, pushed / stiffness)
-        yield self._source("servo", "servos giving way under weight and wrench", shift=shift)
+        yield self._source("servo", "servo deflection under weight and wrench", shift=shift)
 
     def _vibration(self) -> Iterator[SourceErrors]:
         vibration = self._sources.vibration
-        words = {"tool": "of the tool", "motors": "of the motors", "axes": "of the system's axes, by the floor"}
+        words = {"tool": "of the tool", "motors": "of the motors", "axes": "of the system's axes, through the floor"}
         for cause, covariance in ({} if vibration is None else vibration.covariances_by_cause(self._poses)).items():
             name, effects = f"vibration_{cause}", covariance_root(covariance)
             yield self._source(name, words[cause], effects, greatest=GREATEST_VIBRATION, repeats=False)

@@ -1,8 +1,8 @@
 r"""Vibration at a fixed pose: motion of the tool under random forces and random motion of the base.
 
-The natural modes, of unit modal mass, move as q_r'' + 2 zeta omega_r q_r' + omega_r^2 q_r = phi_r . f(t): one after the
-other, with H_r = 1 / (omega_r^2 - omega^2 + 2 i zeta omega_r omega). Independent inputs with a power spectral density
-G(f), which force the modes through the columns of F, give the tool's motion the covariance
+The natural modes, of unit modal mass, move as q_r'' + 2 zeta omega_r q_r' + omega_r^2 q_r = phi_r . f(t), decoupled,
+with H_r = 1 / (omega_r^2 - omega^2 + 2 i zeta omega_r omega). Independent inputs with a power spectral density G(f),
+which force the modes through the columns of F, give the tool's motion the covariance
 
     sum_rs t_r t_s^T (F F^T)_rs  integral of G Re(H_r H_s*) df,
 
