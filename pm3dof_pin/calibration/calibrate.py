@@ -113,7 +113,7 @@ class Calibration:
         return int(self.measurements[self.identification.trusted].pose_numbers.max(initial=-1)) > LEAST_POSES
 
     def with_scatter(self, scatter: Scatter) -> Calibration:
-        """Return it with the error scatter found by a cross-validation."""
+        """Return the calibration with the error scatter found by a cross-validation."""
         return replace(self, compensation=replace(self.compensation, scatter=scatter))
 
 

@@ -96,7 +96,9 @@ def robot_space(
     """
     chosen = names or _default_names(robot)
     if not _PLANE <= len(set(chosen)) == len(chosen) <= _MOST_COORDINATES:
-        raise InvalidValueError("coordinates", ", ".join(chosen) or "none", "two for sections, and one to stack them")
+        raise InvalidValueError(
+            "coordinates", ", ".join(chosen) or "none", "two for the sections, and optionally one to stack them"
+        )
     coordinates = [robot.coordinate(name) for name in chosen]
     places = [robot.coordinates.index(coordinate) for coordinate in coordinates]
     home = np.array(robot.home_coordinates)
@@ -147,7 +149,7 @@ def limits_over(
 def coordinates_over(
     robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None
 ) -> Callable[[Array], Array]:
-    """Return what makes all coordinates, shape=(n, number of them), of some, shape=(n, m); others at home or fixed."""
+    """Return a function that completes coordinates, shape=(n, m), to all of them; others at home or fixed."""
     places = [robot.coordinates.index(robot.coordinate(name)) for name in names]
     home = np.array(robot.home_coordinates)
     for name, value in (fixed or {}).items():

@@ -63,7 +63,7 @@ class MappedRobot:
     def free_motions(self) -> FreeMotionStiffness | None:
         """The free motions of the robot; None if they are not independent or not elastic.
 
-        Evaluated at home; if home is singular, at most of the closed configurations near it.
+        They are those at home or, if home is singular, at most of the closed configurations near it.
         """
         found = [motions for q in self.usual_poses.q if (motions := self._free_motions_at(q)) is not None]
         names = Counter(motions.names for motions in found).most_common(1)

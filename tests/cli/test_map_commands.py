@@ -99,7 +99,11 @@ def test_workspace_over_chosen_coordinates(answer: Answer, tmp_path: Path) -> No
         (["stiffness-map", "--robot", "hexapod", "--over", "x", "0", "0.01", "3"], 2, "expected --over twice"),
         (["stiffness-map", "--robot", "hexapod", "--tilt", "10"], 2, "use --over and --at"),
         (["stiffness-map", "--robot", "hexapod", "--at", "z", "0.3"], 1, "no pose of the map over x and y of hexapod"),
-        (["workspace", "--robot", "hexapod", "--coordinate", "x"], 2, "two for sections, and one to stack them"),
+        (
+            ["workspace", "--robot", "hexapod", "--coordinate", "x"],
+            2,
+            "two for the sections, and optionally one to stack them",
+        ),
     ],
 )
 def test_wrong_usage(run: Any, arguments: list[str], status: int, words: str, tmp_path: Path) -> None:
