@@ -1,1 +1,1 @@
-"""Pictures of maps and of the workspace, drawn by matplotlib without a window."""
+"""Pictures of maps and workspaces, drawn by matplotlib without a window."""

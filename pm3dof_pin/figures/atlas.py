@@ -1,4 +1,4 @@
-"""Slices through an atlas: sections over two coordinates at several values of a third, and the two planes across."""
+"""Slices through an atlas: sections over two coordinates at several values of a third, and two normal planes."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ if TYPE_CHECKING:
     from pm3dof_pin.maps.limit_space import Flags
 
 LimitsOver: TypeAlias = "Callable[[Sequence[str], Mapping[str, float]], Callable[[Array], Flags]]"
-"""From coordinates and values of others to the limits, :func:`~pm3dof_pin.maps.limit_space.limits_over` of a robot."""
+"""Maps coordinates and values of the others to limits, see :func:`~pm3dof_pin.maps.limit_space.limits_over`."""
 
 SECTIONS = 4
-_LONGEST_LABEL = 48  # letters beside the bar of colours
+_LONGEST_LABEL = 48  # characters next to the colour bar
 
 
 @dataclass(eq=False)
 class _Outlines:
-    """Outlines of the drawn planes, within the limits over two coordinates or only the reach, found once for all."""
+    """Outlines of the drawn planes, by all limits over two coordinates or by reach only, found once."""
 
     limits: LimitsOver | None
     beyond: bool
@@ -66,10 +66,10 @@ class _Outlines:
 
 
 def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: str, outlines: _Outlines) -> Figure:
-    """Draw one quantity, of more than three dimensions the last three, the others in the middle of their values."""
+    """Draw one quantity over at most its last three dimensions, with the others at their middle values."""
     for dim in values.dims:
         if "units" not in values[dim].attrs:
-            raise InvalidValueError("values", f"dimensions {values.dims}", "coordinates of a robot, one entry a pose")
+            raise InvalidValueError("values", f"dimensions {values.dims}", "coordinates of a robot, one entry per pose")
     if not np.isfinite(values.values).any():
         raise InvalidValueError("values", "no finite number", "at least one pose within the limits")
     shown, stands = _last_three(values)
@@ -115,10 +115,10 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
 
 
 def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str, Figure]:
-    """Draw every quantity of an atlas that is a number, or a list of numbers, at a pose, by `<quantity>[_<entry>]`.
+    """Draw all quantities of an atlas that are scalars or vectors per pose, by `<quantity>[_<entry>]`.
 
-    With the robot, the planes end where its limits do, found to 1e-3 of a cell, and values between the last pose within
-    and there are extrapolated; without it, they end at the last poses within.
+    With the robot, the planes end at its limits, found to 1e-3 of a cell, and values beyond the last pose within them
+    are extrapolated; without it, they end at the last poses within limits.
     """
     figures = {}
     flags = dataset[BROKEN_LIMITS].load()
@@ -142,7 +142,7 @@ def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str,
 
 
 def _keeps_values_beyond(dataset: xr.Dataset, flags: xr.DataArray) -> bool:
-    """Whether there are values at poses that break a limit."""
+    """Return whether there are values at poses that break a limit."""
     for variable in dataset.data_vars.values():
         if "flag_masks" not in variable.attrs and variable.dims[: flags.ndim] == flags.dims:
             finite = np.isfinite(variable.values).reshape(*flags.shape, -1).any(axis=-1)
@@ -151,7 +151,7 @@ def _keeps_values_beyond(dataset: xr.Dataset, flags: xr.DataArray) -> bool:
 
 
 def _last_three(values: xr.DataArray) -> tuple[xr.DataArray, str]:
-    """Return the values over the last three dimensions at most, and where the others stand."""
+    """Return the values over at most the last three dimensions, and the values of the others."""
     leading = values.dims[:-3]
     field = values.isel({dim: values.sizes[dim] // 2 for dim in leading})
     words = [in_words(str(dim), float(field[dim]), field[dim].attrs["units"]) for dim in leading]
@@ -168,9 +168,9 @@ def _draw_line(axes: Any, field: xr.DataArray, label: str) -> None:
 def _planes(
     figure: Figure, shown: xr.DataArray, flags: xr.DataArray
 ) -> list[tuple[Any, xr.DataArray, xr.DataArray, bool]]:
-    """Return axes, values and limits of every plane, and whether it may be drawn to one scale.
+    """Return axes, values and limits of every plane, and whether its axes may have equal scales.
 
-    Of three dimensions these are sections at several values of the first, and planes through the middle of the others.
+    For three dimensions these are sections at several values of the first, and planes through the middle of the others.
     """
     if shown.ndim == 2:
         return [(figure.add_subplot(), shown, flags, True)]
@@ -190,7 +190,7 @@ def _planes(
 
 
 def _share_labels(panels: list[Any]) -> None:
-    """Leave out labels that the panel to the left of it has."""
+    """Omit labels that the panel to the left has."""
     labels = [axes.get_ylabel() for axes in panels]
     for place, axes in enumerate(panels[1:], start=1):
         if labels[place] == labels[place - 1]:
@@ -198,15 +198,15 @@ def _share_labels(panels: list[Any]) -> None:
 
 
 def _middle(values: Array) -> int:
-    """Return the index of zero, if the values go to both sides of it, or else of their middle."""
+    """Return the index of zero, if the values have both signs, or else of the middle."""
     around_zero = values.min() < 0.0 < values.max()
     return int(np.abs(values - (0.0 if around_zero else 0.5 * (values[0] + values[-1]))).argmin())
 
 
 def _section_indices(field: xr.DataArray) -> list[int]:
-    """Places of the sections: equally spread over those that have any value."""
+    """Indices of the sections: equally spaced over those with any values."""
     filled = np.flatnonzero(np.isfinite(field.values).any(axis=(1, 2)))
-    if not filled.size:  # more dimensions than are drawn, and nothing at the middle of the others
+    if not filled.size:  # nothing at the middle of the dimensions that are not drawn
         filled = np.arange(len(field))
     places = filled[0] + (filled[-1] - filled[0]) * (np.arange(SECTIONS) + 0.5) / SECTIONS
     return [int(place) for place in places]

@@ -1,4 +1,4 @@
-"""Pictures of a calibration: errors on held-out poses, parameters, residuals, maps before and after."""
+"""Pictures of a calibration: errors at held-out poses, parameters, residuals, maps before and after."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def calibration_pictures(
     *,
     validation: HeldOut | None = None,
 ) -> dict[str, Figure]:
-    """Return the pictures of a calibration's report, by names for their files."""
+    """Return the pictures of a calibration's report, by file name."""
     found = calibration.identification
     pictures = {} if validation is None else {"tip_error_validation": held_out_picture(validation)}
     if held_out is not None:
@@ -50,7 +50,7 @@ def calibration_pictures(
 
 
 def held_out_picture(held_out: HeldOut) -> Figure:
-    """Draw the share of held-out poses whose tip error stays below a size: before, after, floor, noise."""
+    """Draw the share of held-out poses with tip errors below a value: before, after, floor, noise."""
     curves = (
         ("as described", held_out.before, BEFORE, "-"),
         ("corrected", held_out.after, AFTER, "-"),
@@ -77,7 +77,7 @@ def held_out_picture(held_out: HeldOut) -> Figure:
 
 
 def _parameters_picture(found: Identification) -> Figure:
-    """Draw every identified parameter with two standard deviations, in units of its tolerance."""
+    """Draw the identified parameters with two standard deviations, in units of their tolerances."""
     values = found.values / found.errors.tolerances
     spread = np.minimum(found.sigmas / found.errors.tolerances, found.prior)
     places = np.arange(len(values))[::-1]
@@ -90,12 +90,12 @@ def _parameters_picture(found: Identification) -> Figure:
         axes.errorbar(values, places, xerr=2.0 * spread, fmt="o", markersize=3.0, color=AFTER, ecolor=NOISE)
         axes.set_yticks(places, [parameter_words(name) for name in found.errors.names], fontsize=7.0)
         axes.set_ylim(-1.0, len(values))
-        axes.set_xlabel("value and two standard deviations, over the tolerance")
+        axes.set_xlabel("value ± two standard deviations, relative to the tolerance")
     return figure
 
 
 def _residuals_picture(found: Identification) -> Figure:
-    """Draw the residual of every measurement in units of its sigma; outliers stand out."""
+    """Draw the residual of every measurement in units of its sigma, with outliers marked."""
     size = np.sqrt(np.mean(found.normalized_residuals**2, axis=1))
     outliers = np.zeros(len(size), dtype=bool)
     outliers[list(found.outliers)] = True
@@ -119,7 +119,7 @@ def _residuals_picture(found: Identification) -> Figure:
 
 
 def workspace_picture(errors: WorkspaceErrors) -> Figure:
-    """Draw the maps of the tip error before and after, and of the floor if known, with one scale of colours."""
+    """Draw maps of the tip error before and after, and of the floor if known, with a common colour scale."""
     fields = [errors.before, errors.after, *([] if errors.floor is None else [errors.floor])]
     scale = color_scale(_MICROMETRES * np.stack(fields))
     meshes = [outlined_mesh(*errors.coordinates, np.isfinite(field), errors.within) for field in fields]

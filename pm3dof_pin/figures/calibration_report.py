@@ -1,4 +1,4 @@
-"""The report of a calibration: one HTML page with its pictures inside, readable without a network."""
+"""The report of a calibration: one self-contained HTML page with its pictures."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ td:not(:first-child), th:not(:first-child) { text-align: right; } img { max-widt
 """
 
 _NO_FLOOR = (
-    "What no command corrects is not drawn: only identified parameters tell where it is. Both maps lack it, but for "
-    "its mean, which the second has."
+    "The part that no command corrects is not drawn: only identified parameters locate it. Both maps lack it, except "
+    "for its mean, which the second includes."
 )
 _CROSS_VALIDATION = (
-    "Accuracy on poses it was not shown",
-    "Cross-validation: each fifth of the poses is predicted from the others.",
+    "Accuracy on held-out poses",
+    "Cross-validation: each fifth of the poses is predicted from the rest.",
 )
-_VALIDATION = ("On the validation file", "These measurements had no part in the calibration.")
+_VALIDATION = ("On the validation file", "These measurements were not used in the calibration.")
 _METHODS = {
     "lm": "geometric parameters by least squares",
     "nn": "a neural network on the joint variables",
     "gp": "a Gaussian process on the joint variables",
-    "lm+nn": "geometric parameters by least squares, and a neural network on what they leave",
-    "lm+gp": "geometric parameters by least squares, and a Gaussian process on what they leave",
+    "lm+nn": "geometric parameters by least squares, and a neural network on the remainder",
+    "lm+gp": "geometric parameters by least squares, and a Gaussian process on the remainder",
 }
 
 
@@ -55,16 +55,16 @@ def report_as_html(
     judgement: Verdict | None = None,
     pictures: Mapping[str, Figure] | None = None,
 ) -> str:
-    """Return the report of a calibration, with its pictures; the same calibration gives the same bytes."""
+    """Return the report of a calibration, with its pictures; identical calibrations give identical bytes."""
     options, found = calibration.options, calibration.identification
     pictures = pictures or calibration_pictures(calibration, held_out, maps, validation=validation)
     of_validation, of_held_out = (pictures.get(f"tip_error_{kind}") for kind in ("validation", "held_out"))
     parts = [
         f"<h1>Calibration of {escape(robot)}</h1>",
-        *(f"<p><b>Written by force, although {escape(reason)}.</b></p>" for reason in objections),
+        *(f"<p><b>Written with --force, although {escape(reason)}.</b></p>" for reason in objections),
         *([] if judgement is None else _verdict(judgement)),
         f"<p>{len(calibration.measurements)} measurements ({found.measurements.measured}s), method "
-        f"<b>{options.method}</b>: {_METHODS[options.method]}. Tip errors weigh a turn with {options.eta:g} m/rad. "
+        f"<b>{options.method}</b>: {_METHODS[options.method]}. Tip errors weigh rotations by {options.eta:g} m/rad. "
         f"Seed {options.seed}.</p>",
         *([] if validation is None else _accuracy(calibration, validation, of_validation, *_VALIDATION)),
         *_accuracy(calibration, held_out, of_held_out, *_CROSS_VALIDATION),
@@ -72,11 +72,10 @@ def report_as_html(
         *_data(calibration, pictures["residuals"]),
     ]
     if maps is not None:
-        floor = "The floor is what no command corrects." if maps.floor is not None else _NO_FLOOR
+        floor = "The floor is the part that no command corrects." if maps.floor is not None else _NO_FLOOR
         parts += [
             "<h2>Over the workspace</h2>",
-            "<p>As the calibration knows the machine, the other coordinates in the middle of their ranges. "
-            f"{floor}</p>",
+            f"<p>According to the calibration, with the other coordinates in the middle of their ranges. {floor}</p>",
             _image(pictures["workspace"], "maps of the tip error before and after"),
         ]
     if calibration.compensation.values is not None:
@@ -95,18 +94,18 @@ def _data(calibration: Calibration, residuals: Figure) -> list[str]:
         x, y, z = registration.base[:3, 3]
         remarks.append(
             f"The base was found from the measurements: its origin is at ({x:.6f}, {y:.6f}, {z:.6f}) m in the frame of "
-            f"the instrument. Positions then are {1e6 * registration.residual:.0f} µm (rms) from the description."
+            f"the instrument. Positions differ by {1e6 * registration.residual:.0f} µm (rms) from the description."
         )
     if found.outliers:
         lines = ", ".join(map(str, found.outlier_lines))
-        remarks.append(f"Outliers, given no or little weight and shown to no learned model: lines {lines}.")
+        remarks.append(f"Outliers, given little or no weight and excluded from learned models: lines {lines}.")
     if found.noise_factor > 1.0:
         remarks.append(
             f"The residuals of the parametric model scatter {found.noise_factor:.2f} times as much as the sigmas of "
-            "the measurements say: the noise is greater, or the machine is richer than its parameters."
+            "the measurements say: the noise is greater, or the machine has errors outside its parameters."
         )
-    listed = "".join(f"<li>{remark}</li>" for remark in remarks) or "<li>Nothing odd was found.</li>"
-    return ["<h2>The measurements</h2>", f"<ul>{listed}</ul>", _image(residuals, "residual of each measurement")]
+    listed = "".join(f"<li>{remark}</li>" for remark in remarks) or "<li>No anomalies were found.</li>"
+    return ["<h2>Measurements</h2>", f"<ul>{listed}</ul>", _image(residuals, "residual of each measurement")]
 
 
 def _verdict(judgement: Verdict) -> list[str]:
@@ -116,33 +115,33 @@ def _verdict(judgement: Verdict) -> list[str]:
 
 def _budget(judgement: Verdict) -> list[str]:
     words = {
-        "floor": "what no command corrects",
-        "instrument": "noise of the instrument",
-        "frame": "the instrument's frame",
-        "targets": "where targets sit, drift, hysteresis",
-        "parameters": "parameters that were not seen",
-        "learned": "what was learned",
-        "unmodelled": "what nothing describes",
+        "floor": "not correctable by commands",
+        "instrument": "instrument noise",
+        "frame": "instrument frame",
+        "targets": "target positions, drift, hysteresis",
+        "parameters": "unobserved parameters",
+        "learned": "learned part",
+        "unmodelled": "unmodelled effects",
         "repeatability": "repeatability",
     }
     rows = [(words[name], f"{1e6 * value:.1f}") for name, value in judgement.budget.items()]
     total = float(np.sqrt(sum(value**2 for value in judgement.budget.values())))
     parts = [
-        "<h2>Where the rest comes from</h2>",
-        "<p>What each source adds to the tip error of the corrected machine, root mean square over the workspace; "
-        "squares add up.</p>",
-        _table(("source", "tip error [µm]"), [*rows, ("together", f"{1e6 * total:.1f}")]),
+        "<h2>Sources of the remaining error</h2>",
+        "<p>Contributions to the tip error of the corrected machine, root mean square over the workspace; squares add "
+        "up.</p>",
+        _table(("source", "tip error [µm]"), [*rows, ("total", f"{1e6 * total:.1f}")]),
     ]
     for found in judgement.systematic:
-        chance = "more than chance" if found.sure else "no more than chance"
+        chance = "significant" if found.sure else "not significant"
         parts.append(
             f"<p>{found.kind.capitalize()}: {1e6 * found.tip:.1f} ± {1e6 * found.tip_sigma:.1f} µm at the tip, "
-            f"{chance}. It is taken out of what is identified, not corrected.</p>"
+            f"{chance}. It is removed from the identification, not corrected.</p>"
         )
     repeated = judgement.repeated
     if repeated is not None:
         parts.append(
-            f"<p>Poses taken up again: the machine misses its own mean by {1e6 * repeated.tip_sigma:.1f} µm at the tip "
+            f"<p>Repeated poses: the machine deviates from its mean by {1e6 * repeated.tip_sigma:.1f} µm at the tip "
             f"(rms, without noise; {repeated.freedom} degrees of freedom).</p>"
         )
         if len(repeated.poses):
@@ -161,7 +160,7 @@ def _accuracy(
 ) -> list[str]:
     heading = f"<h2>{title}</h2>"
     if held_out is None or picture is None:
-        return [heading, "<p>Not known: too few poses for a cross-validation.</p>"]
+        return [heading, "<p>Unknown: too few poses for a cross-validation.</p>"]
     units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
     joint_unit = ", ".join(f"µ{unit}" for unit in units)
     rows = [
@@ -169,7 +168,7 @@ def _accuracy(
         ("corrected", held_out.after),
         ("best commands: floor", held_out.floor),
         ("measurement noise", held_out.noise),
-        (f"corrected minus best commands, as is to be expected, each joint [{joint_unit}]", held_out.excess),
+        (f"corrected minus best commands, expected, each joint [{joint_unit}]", held_out.excess),
     ]
     kinds = ("as described", "corrected", "best commands: floor")
     rows += [(f"E of (8.15), {kind}", values) for kind, values in zip(kinds, held_out.energies, strict=True)]
@@ -178,20 +177,20 @@ def _accuracy(
     interval = ""
     if held_out.excess_interval is not None:
         low, high = (1e6 * value for value in held_out.excess_interval)
-        interval = f"<p>Corrected minus best commands are, root mean square of this machine, {low:.1f} to {high:.1f} "
-        interval += f"{joint_unit} with a probability of 95 %: what finitely many poses tell.</p>"
+        interval = f"<p>For this machine, corrected minus best commands have a root mean square of {low:.1f} to "
+        interval += f"{high:.1f} {joint_unit} with a probability of 95 %, given the finite number of poses.</p>"
     return [
         heading,
-        f"<p>{text} Tip errors in µm, as measured, so noise is in all of them. The floor is left with the best "
-        "possible commands: with fewer drives than a pose has degrees of freedom, commands cannot correct everything. "
-        "E, the energy of the pose error, adds position and weighed turn instead of their squares; the best commands "
-        "are best for the tip error.</p>",
+        f"<p>{text} Tip errors are in µm, as measured, and all include noise. The floor remains with the best "
+        "possible commands: with fewer drives than degrees of freedom of a pose, commands cannot correct everything. "
+        "E, the energy of the pose error, adds position and weighted rotation instead of their squares; the best "
+        "commands are best for the tip error.</p>",
         _table(("tip error [µm]", "mean", "95 %", "max"), numbers),
         interval,
         _image(picture, "share of held-out poses below a tip error"),
-        f"<p>{100.0 * held_out.within:.0f} % of what was predicted with a probability of 95 % came true. Beside "
-        f"noise, {1e6 * calibration.compensation.scatter.tip_error:.1f} µm (rms) of the tip error are explained by "
-        "nothing.</p>",
+        f"<p>{100.0 * held_out.within:.0f} % of the 95 % prediction intervals contain the measurement. In addition to "
+        f"noise, {1e6 * calibration.compensation.scatter.tip_error:.1f} µm (rms) of the tip error are "
+        "unexplained.</p>",
     ]
 
 
@@ -203,12 +202,12 @@ def _parameters(found: Identification, picture: Figure) -> list[str]:
         )
     ]
     silent = [
-        ("Combinations that the measurements say nothing about", found.identifiability.unidentifiable),
-        ("Parameters that they say little about by themselves", found.prior_dominated),
+        ("Combinations not determined by the measurements", found.identifiability.unidentifiable),
+        ("Parameters individually dominated by the prior", found.prior_dominated),
     ]
     remarks = "".join(f"<li>{text}: {escape('; '.join(names) or 'none')}.</li>" for text, names in silent)
     return [
-        "<h2>The parameters identified</h2>",
+        "<h2>Identified parameters</h2>",
         f"<p>{found.identifiability.rank} combinations of {len(found.errors)} parameters are identifiable. The grey "
         f"band is the tolerance; before the measurements the standard deviation was {found.prior:g} tolerances.</p>",
         f"<ul>{remarks}</ul>",
@@ -223,10 +222,10 @@ def _stiffness(found: Identification) -> list[str]:
         return []
     rows = [(name, f"{factor:.3f}", f"{100.0 * sigma:.1f}") for name, (factor, sigma) in found.stiffness.items()]
     return [
-        "<h2>The stiffness identified</h2>",
-        "<p>From the deflections under the wrenches of the measurements. A spring whose uncertainty stays at "
-        f"{100.0 * STIFFNESS_SIGMA:.0f} % is as described: the measurements say nothing about it.</p>",
-        _table(("spring", "times as stiff as described", "sigma [%]"), rows),
+        "<h2>Identified stiffness</h2>",
+        "<p>From the deflections under the measured wrenches. A spring whose uncertainty remains at "
+        f"{100.0 * STIFFNESS_SIGMA:.0f} % is as described: the measurements do not determine it.</p>",
+        _table(("spring", "stiffness relative to the description", "sigma [%]"), rows),
     ]
 
 

@@ -1,4 +1,4 @@
-"""The scale of colours of a map: steps between round values, logarithmic where the values spread, and what it hides."""
+"""The colour scale of a map: steps between round values, logarithmic for wide ranges, and values beyond it."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from pm3dof_pin.typing import Array
 
 _LOGARITHMIC_FROM = 10.0  # ratio of the largest to the least value
-_NEARLY_CONSTANT = 0.1  # variation, as a part of the mean, below which the picture says so
+_NEARLY_CONSTANT = 0.1  # variation relative to the mean; the picture says so if it is less
 TAILS = (1.0, 5.0)  # of the values at either end [%], which may lie beyond the colours ...
 _FEW_TICKS = 5
-_TAIL_SPAN = 3.0  # ... if they would stretch the scale so many times
+_TAIL_SPAN = 3.0  # ... if they would stretch the scale by this factor
 _STEPS = {
     1: (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
     2: (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0),
@@ -26,7 +26,7 @@ _STEPS = {
 
 @dataclass(frozen=True, eq=False)
 class ColorScale:
-    """Growing values at which the colours step, and on which sides values lie beyond them."""
+    """Increasing values at which the colours step, and the sides on which values lie beyond them."""
 
     levels: Array
     logarithmic: bool  #: whether equal steps of colour are equal ratios
@@ -43,7 +43,7 @@ class ColorScale:
 
     @property
     def ticks(self) -> list[float]:
-        """Round values beside the bar of colours."""
+        """Return round values for the colour bar."""
         if not self.logarithmic:
             every = max(1, math.ceil(len(self.levels) / 9))
             return [float(level) for level in self.levels[::every]]
@@ -60,7 +60,7 @@ class ColorScale:
         return [float(level) for level in found]
 
     def label(self, bar: Any) -> None:
-        """Write the ticks of a bar of colours."""
+        """Set the ticks of a colour bar."""
         axis = bar.ax.yaxis if bar.orientation == "vertical" else bar.ax.xaxis
         axis.set_major_locator(FixedLocator(self.ticks))
         decimals = 0 if self.logarithmic else max((_decimals(tick) for tick in self.ticks), default=0)
@@ -70,9 +70,9 @@ class ColorScale:
 
 
 def color_scale(values: Array, also: Array | None = None) -> ColorScale:
-    """Return the scale for all finite values that are drawn in a picture.
+    """Return the scale for all finite values drawn in a picture.
 
-    `also` are values that are drawn too but do not count where the bulk of them is sought.
+    `also` are values that are drawn too, but ignored when the bulk of the values is determined.
     """
     finite = np.asarray(values, dtype=float)
     finite = finite[np.isfinite(finite)]
@@ -85,7 +85,7 @@ def color_scale(values: Array, also: Array | None = None) -> ColorScale:
             np.array([least - half, least + half]),
             False,
             "neither",
-            "the same everywhere" if least else "zero everywhere",
+            "constant everywhere" if least else "zero everywhere",
         )
     low, high = least, greatest
     for tail in TAILS:
@@ -110,7 +110,7 @@ def color_scale(values: Array, also: Array | None = None) -> ColorScale:
 
 
 def number(value: float, decimals: int = 0) -> str:
-    """Return a number as written beside an axis: 0.05, 1500, or a power of ten; with so many decimals at least."""
+    """Format a number for an axis: 0.05, 1500, or a power of ten, with at least `decimals` decimals."""
     if value == 0.0 or 1e-3 <= abs(value) < 1e5:
         return f"{value:.{max(decimals, _decimals(value))}f}".replace("-", "\N{MINUS SIGN}")
     exponent = math.floor(math.log10(abs(value)) + 1e-9)
@@ -120,7 +120,7 @@ def number(value: float, decimals: int = 0) -> str:
 
 
 def _decimals(value: float) -> int:
-    """Return the number of decimals that six digits of a number need."""
+    """Return the number of decimals needed for six digits of a number."""
     _, _, behind = f"{value:.6g}".partition(".")
     return 0 if "e" in behind else len(behind)
 

@@ -1,4 +1,4 @@
-"""Which spring governs the stiffness along each axis, over two coordinates of a robot."""
+"""The spring that governs the stiffness along each axis, over two coordinates of a robot."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _COLUMNS = 3
-_FAINT, _FULL = 0.25, 1.0  # opacity of a spring that leads with nothing, and of one that does all
+_FAINT, _FULL = 0.25, 1.0  # opacity of a spring with a negligible lead, and of one with a share of 1
 
 
 def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figure:
-    """Draw over two coordinates, axis by axis, the spring that gives most, the more intense the greater its share.
+    """Draw over two coordinates, axis by axis, the spring with the largest share, in a more intense colour for more.
 
     The section is that of a :class:`~pm3dof_pin.maps.workspace_evaluation.WorkspaceEvaluation`, its outline that of
     `within`; between poses the shares are interpolated, so that regions have smooth edges.
@@ -49,7 +49,7 @@ def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figur
         for panel, axis in zip(panels.flat, seen, strict=False):
             fine = np.stack([mesh.fine(entry.T) for entry in shares.sel(axis=axis).values.T])
             leads = fine.max(axis=0)
-            numbers = (fine >= leads - TIE).argmax(axis=0) + 1  # of springs that are each other's image the first
+            numbers = (fine >= leads - TIE).argmax(axis=0) + 1  # the first of symmetric springs
             image = panel.imshow(
                 numbers.T,
                 origin="lower",
@@ -75,7 +75,7 @@ def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figur
         place = f" at {', '.join(stands)}" if stands else ""
         machine = section.attrs["machine"]
         figure.suptitle(
-            f"Spring that gives most, the fuller the colour the greater its share: {machine}{place}", fontsize=8.0
+            f"Spring with the largest share of the deflection, more intense for more: {machine}{place}", fontsize=8.0
         )
         figure.subplots_adjust(
             left=0.09, right=0.98, top=1.0 - 0.6 / height, bottom=0.85 / height, hspace=0.25, wspace=0.08

@@ -1,4 +1,4 @@
-"""Which parts' errors count: the share of each parameter in the squared tip error."""
+"""Critical error parameters: the share of each parameter in the squared tip error."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def error_ranking(ranking: Sequence[ParameterShare], most: int = 20) -> Figure:
         axes = figure.add_axes((left, 0.42 / inches, 0.97 - left, 1.0 - 0.86 / inches))
         for offset, color, text, shares in (
             (-0.19, COMPENSABLE_COLOR, "of the tip error", [share.share for share in shown]),
-            (0.19, UNCOMPENSABLE_COLOR, "of what commands cannot undo", [share.uncompensable_share for share in shown]),
+            (0.19, UNCOMPENSABLE_COLOR, "of the uncompensable part", [share.uncompensable_share for share in shown]),
         ):
             axes.barh(rows + offset, 100.0 * np.array(shares), 0.38, color=color, label=text)
         axes.set_yticks(rows, words)

@@ -1,4 +1,4 @@
-"""How coordinates and quantities are written on pictures: names in italics, units that leave numbers readable."""
+"""Labels of coordinates and quantities in pictures: names in italics, units that keep numbers readable."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _PREFIXES = {
         (0.0, 1e-9, "nrad/(N m)"),
     ),
 }
-"""Of each unit: from which size of the greatest number on, in what, and how that is written."""
-_PLAIN = range(-2, 5)  # powers of ten of numbers that are written out
+"""By unit: the least greatest number, the divisor and the name of each display unit."""
+_PLAIN = range(-2, 5)  # powers of ten of numbers written without an exponent
 _DIRECTIONS = {"t": "along", "r": "about"}
 _ANGLE = re.compile(r"(theta)_([xyz])")
 _LETTERS = re.compile(r"([xyzruq])_?([xyze]|\d*)")
 
 
 def plain(name: str) -> str:
-    """Return a name so that it is drawn as it stands: a dollar begins no formula."""
+    """Return a name escaped to be drawn literally: a dollar does not begin a formula."""
     return name.replace("$", r"\$")
 
 
 def symbol(name: str) -> str:
-    r"""Return the name of a coordinate in italics: theta_x as $\theta_x$, z_e as $z_e$; other words as they are."""
+    r"""Return the name of a coordinate in italics: theta_x as $\theta_x$, z_e as $z_e$; other words unchanged."""
     if _ANGLE.fullmatch(name):
         return rf"$\{name}$"
     found = _LETTERS.fullmatch(name)
@@ -50,12 +50,12 @@ def symbol(name: str) -> str:
 
 
 def axis_label(name: str, unit: str) -> str:
-    """Return the label of an axis, with the unit its numbers are drawn in."""
+    """Return the label of an axis, with its display unit."""
     return f"{symbol(name)} [{'deg' if unit == 'rad' else unit}]"
 
 
 def drawn(values: ArrayLike, unit: str) -> Array:
-    """Return the numbers that are drawn: angles in degrees, all else as it is."""
+    """Return numbers for drawing: angles in degrees, all else unchanged."""
     return np.degrees(values) if unit == "rad" else np.asarray(values, dtype=float)
 
 
@@ -77,7 +77,7 @@ def fixed_coordinates(dataset: xr.Dataset | xr.DataArray) -> dict[str, tuple[flo
 
 
 def display_unit(values: ArrayLike, unit: str) -> tuple[float, str]:
-    """Return what to divide finite values by, and the unit they are then in: 1e-6 and "µm" for errors of some 1e-4 m.
+    """Return the divisor of finite values and their display unit: 1e-6 and "µm" for errors of about 1e-4 m.
 
     The unit is "" for plain numbers.
     """
@@ -94,7 +94,7 @@ def display_unit(values: ArrayLike, unit: str) -> tuple[float, str]:
 
 
 def in_brackets(words: str, unit: str) -> str:
-    """Return words followed by their unit in brackets, if there is one."""
+    """Return words followed by the unit in brackets, if there is one."""
     return f"{words} [{unit}]" if unit else words
 
 
@@ -111,7 +111,7 @@ def part_words(name: str) -> str:
 def parameter_words(name: str) -> str:
     """Return the name of an error parameter as words: slider1_joint.tx as slider 1, along $x$.
 
-    Names of another form stay as they are.
+    Other names are unchanged.
     """
     place, dot, motion = name.rpartition(".")
     found = re.fullmatch(r"([tr])_?([xyz]|across\d)", motion)

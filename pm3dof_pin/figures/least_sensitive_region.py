@@ -1,4 +1,4 @@
-"""The region least sensitive to errors, over two coordinates or, slice by slice, over three."""
+"""The region least sensitive to errors, over two coordinates or, in slices, over three."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 _SLICES = 6
 _COLUMNS = 3
 _HATCH = "////"
-_FEWEST = 4  # poses of a slice that are worth a picture
+_FEWEST = 4  # least number of poses of a drawn slice
 
 
 def least_sensitive_region(dataset: xr.Dataset, limits: LimitsOver | None = None) -> Figure:
-    """Draw the tip error of a budget map, up to six slices of three coordinates, the least sensitive region outlined.
+    """Draw the tip error of a budget map, in up to six slices, with the least sensitive region outlined.
 
-    `limits` make the limits over coordinates at values of others, which give the slices their exact edges.
+    `limits` returns the limits over coordinates at values of the others, for the exact edges of the slices.
 
     Raises:
         InvalidValueError: the dataset is not over two or three coordinates.
@@ -92,7 +92,7 @@ def least_sensitive_region(dataset: xr.Dataset, limits: LimitsOver | None = None
 
 
 def _slices(dataset: xr.Dataset, dims: list[str]) -> list[tuple[str, xr.Dataset]]:
-    """Return slices across the third coordinate that have poses, with their titles."""
+    """Return slices at values of the third coordinate that have poses, with their titles."""
     if len(dims) == 2:
         return [("", dataset)]
     third = dataset[dims[2]]
@@ -118,5 +118,5 @@ def _draw(place: Any, mesh: OutlinedMesh, units: list[str], values: Array, scale
     if triangulation is not None and values.min() <= bound:
         lowest = min(values.min(), bound) - 1.0
         inside = place.tricontourf(triangulation, values, levels=[lowest, bound], colors="none", hatches=[_HATCH])
-        inside.set(edgecolor="white", linewidth=0.0)  # the hatches have the colour of edges
+        inside.set(edgecolor="white", linewidth=0.0)  # hatches have the edge colour
         place.tricontour(triangulation, values, levels=[bound], colors="white", linewidths=1.2)

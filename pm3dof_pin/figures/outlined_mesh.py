@@ -1,7 +1,7 @@
-"""Triangles over the part of a section that is within the limits, up to its exact outline.
+"""Triangles over the part of a section within the limits, up to its exact outline.
 
-Cells of the grid that the outline crosses are cut where it crosses their sides, and between those places the outline is
-followed by a few points more. This works for sections of any shape, with holes or of several parts.
+Cells crossed by the outline are cut where it crosses their sides, and a few more points follow the outline in between.
+This works for sections of any shape, with holes or in several parts.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, collected
 from pm3dof_pin.typing import Array, Mask
 
 Within: TypeAlias = Callable[[Array], Mask]
-"""From points of the section, shape=(n, 2), to whether they are within the limits."""
+"""Maps points of the section, shape=(n, 2), to whether they are within the limits."""
 
 _HALVINGS = 10  # of the side of a cell
 _BETWEEN = 3  # points of the outline between two sides of a cell
-_NEAREST = 1e-4  # of the side of a cell, so that no triangle is without area
-_CELLS = 40  # along each axis at least; coarser grids are divided
-_MARGIN = 0.03  # of the axes, about a map
-_TIP = 0.02  # of the axes, below which the end of the grid is not worth a word
-_CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, going round
+_NEAREST = 1e-4  # of the side of a cell, to avoid degenerate triangles
+_CELLS = 40  # least number along each axis; coarser grids are subdivided
+_MARGIN = 0.03  # of the axes, around a map
+_TIP = 0.02  # of the axes; shorter ends of the grid are not mentioned
+_CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, in cyclic order
 
 
 @dataclass(frozen=True, eq=False)
 class OutlinedMesh:
     """Points and triangles of a section."""
 
-    axes: tuple[Array, Array]  #: values of both coordinates of the grid, growing
+    axes: tuple[Array, Array]  #: increasing values of both coordinates of the grid
     points: Array  #: shape=(p, 2)
     triangles: NDArray[np.intp]  #: indices of points, shape=(t, 3)
-    limit_lines: Array  #: points along the outline that a limit makes, one short line per cell, shape=(n, k, 2)
-    end_lines: Array  #: sides of cells where the grid ends and no limit is, shape=(m, 2, 2)
-    fillable: Mask  #: poses of the grid that a limit excludes, whose values may be extrapolated, shape=(n, m)
+    limit_lines: Array  #: points along the outline due to limits, one short line per cell, shape=(n, k, 2)
+    end_lines: Array  #: sides of cells where the grid ends without a limit, shape=(m, 2, 2)
+    fillable: Mask  #: poses of the grid excluded by a limit, whose values may be extrapolated, shape=(n, m)
 
     def values(self, field: Array) -> Array:
-        """Return a field over the grid at the points: linear between poses, extrapolated from the last ones inside."""
+        """Interpolate a field over the grid linearly at the points, extrapolated from the last poses inside."""
         filled, positive = np.where(np.isfinite(field), field, np.nan), bool(np.nanmin(field) > 0.0)
         filled = _extended(np.log(filled) if positive else filled, self.fillable)
         found = np.asarray(_interpolator(self.axes, filled)(self.points))
         low, high = np.nanmin(field), np.nanmax(field)
         margin = 0.1 * (high - low)
-        # extrapolated values may not leave what was computed by far
+        # extrapolated values must stay near the computed range
         clipped: Array = np.clip(
             np.exp(found) if positive else found,
             max(low - margin, low / 2) if positive else low - margin,
@@ -63,7 +63,7 @@ class OutlinedMesh:
         return clipped
 
     def fine(self, field: Array) -> Array:
-        """Return a field on a grid eight times finer, extrapolated like the values at the points; NaN farther out."""
+        """Return a field on an eight times finer grid, extrapolated like the values at the points; NaN further out."""
         filled = _extended(np.where(np.isfinite(field), field, np.nan), self.fillable)
         fine = [
             np.interp(np.linspace(0, len(axis) - 1, 8 * (len(axis) - 1) + 1), range(len(axis)), axis)
@@ -76,7 +76,7 @@ class OutlinedMesh:
 def draw_map(
     axes: Axes, mesh: OutlinedMesh, values: Array, scale: ColorScale, units: Sequence[str], **changes: Any
 ) -> Triangulation | None:
-    """Fill a map with the colours of values at its points, and draw its edges; return its triangles, if it has any."""
+    """Fill a map with the colours of values at its points, and draw its edges; return its triangles, if any."""
     triangulation = None
     if len(mesh.triangles):
         columns = [drawn(column, unit) for column, unit in zip(mesh.points.T, units, strict=True)]
@@ -89,7 +89,7 @@ def draw_map(
 
 
 def draw_edges(axes: Axes, mesh: OutlinedMesh, units: Sequence[str], **changes: Any) -> None:
-    """Draw where limits end a map, and where the grid ends it, in styles that may be changed."""
+    """Draw the edges of a map due to limits and to the end of the grid, in adjustable styles."""
     for lines, style in ((mesh.limit_lines, LIMIT_LINE), (joined(mesh.end_lines), END_LINE)):
         pieces = [np.column_stack([drawn(c, u) for c, u in zip(line.T, units, strict=True)]) for line in lines]
         axes.add_collection(LineCollection(pieces, clip_on=False, **collected(style | changes)), autolim=False)
@@ -99,7 +99,7 @@ def draw_edges(axes: Axes, mesh: OutlinedMesh, units: Sequence[str], **changes: 
 
 
 def joined(lines: Array) -> list[Array]:
-    """Join lines of which each begins where the one before ends, so that dashes run through; shape=(n, k, 2)."""
+    """Join successive connected lines, shape=(n, k, 2), so that dashes are continuous."""
     chains: list[list[Array]] = []
     for line in lines:
         if chains and np.array_equal(chains[-1][-1][-1], line[0]):
@@ -110,7 +110,7 @@ def joined(lines: Array) -> list[Array]:
 
 
 def edge_handles(meshes: Iterable[OutlinedMesh]) -> list[Line2D]:
-    """Return what a legend has to say of the edges of some maps."""
+    """Return legend entries for the edges of maps."""
     every = list(meshes)
     kinds = (("limit", "limit_lines", LIMIT_LINE), ("end of the grid", "end_lines", END_LINE))
     return [
@@ -121,7 +121,7 @@ def edge_handles(meshes: Iterable[OutlinedMesh]) -> list[Line2D]:
 
 
 def _long(lines: Array, mesh: OutlinedMesh) -> bool:
-    """Whether lines are more than the tip of a map."""
+    """Return whether lines are longer than the tip of a map."""
     spans = np.array([np.ptp(axis) for axis in mesh.axes])
     return bool(len(lines) and np.any(np.abs(np.diff(lines, axis=1)).sum(axis=(0, 1)) > _TIP * spans))
 
@@ -129,10 +129,10 @@ def _long(lines: Array, mesh: OutlinedMesh) -> bool:
 def outlined_mesh(
     first: Array, second: Array, inside: Mask, within: Within | None = None, excluded: Mask | None = None
 ) -> OutlinedMesh:
-    """Divide the part of a section that is within the limits into triangles.
+    """Triangulate the part of a section within the limits.
 
-    `inside` are the poses of the grid with a value. Without limits, the mesh ends at the last of these; `excluded` are
-    those that a limit excludes, by default all others.
+    `inside` are the poses of the grid with a value. Without limits, the mesh ends at the last of these. `excluded` are
+    the poses excluded by a limit, by default all others.
     """
     axes = (np.asarray(first, dtype=float), np.asarray(second, dtype=float))
     fillable = ~inside if excluded is None else excluded & ~inside
@@ -162,7 +162,7 @@ def outlined_mesh(
 
 
 class _Sides:
-    """Places, shape=(c, 2), where the outline crosses sides of cells, and their numbers by side, -1 for none."""
+    """Points, shape=(c, 2), where the outline crosses sides of cells, and their numbers by side, -1 for none."""
 
     def __init__(self, x: Array, y: Array, nodes: Mask, within: Within | None, start: int) -> None:
         places: list[Array] = []
@@ -182,7 +182,7 @@ class _Sides:
 
 
 def _crossing(inner: Array, outer: Array, within: Within | None) -> Array:
-    """Close in the outline between points inside and points outside, shape=(n, 2)."""
+    """Locate the outline between points inside and points outside, shape=(n, 2)."""
     low, high = np.zeros(len(inner)), np.ones(len(inner))
     for _ in range(_HALVINGS if within is not None and len(inner) else 0):
         middle = 0.5 * (low + high)
@@ -192,7 +192,7 @@ def _crossing(inner: Array, outer: Array, within: Within | None) -> Array:
 
 
 def _divided(axes: tuple[Array, Array], nodes: Mask, fillable: Mask, within: Within) -> tuple[Array, Array, Mask]:
-    """Divide a coarse grid, and check the limits at the new nodes that have values or are next to some."""
+    """Subdivide a coarse grid, and check the limits at new nodes with values or next to some."""
     fine = [
         np.interp(np.linspace(0, len(a) - 1, (len(a) - 1) * max(1, -(-_CELLS // (len(a) - 1))) + 1), range(len(a)), a)
         for a in axes
@@ -206,12 +206,12 @@ def _divided(axes: tuple[Array, Array], nodes: Mask, fillable: Mask, within: Wit
 
 
 def _interpolator(axes: tuple[Array, Array], field: Array) -> RegularGridInterpolator:
-    """Return a bilinear interpolator that forgives points outside by rounding."""
+    """Return a bilinear interpolator that tolerates points slightly outside due to rounding."""
     return RegularGridInterpolator(axes, field, bounds_error=False, fill_value=None)
 
 
 def _extended(field: Array, fillable: Mask) -> Array:
-    """Extrapolate to the next two rings of poses that a limit excludes, by lines through the last two inside."""
+    """Extrapolate linearly from the last two poses inside to the next two rings of poses excluded by a limit."""
     for _ in range(2):
         wide = np.pad(field, 2, constant_values=np.nan)
         guesses = []
@@ -230,7 +230,7 @@ def _extended(field: Array, fillable: Mask) -> Array:
 def _cut_cells(
     numbers: NDArray[np.intp], nodes: Mask, sides: _Sides
 ) -> tuple[list[NDArray[np.intp]], NDArray[np.intp], NDArray[np.intp]]:
-    """Return triangles of cells, pairs of places between which the outline crosses a cell, and a corner to fan from."""
+    """Return triangles of cells, pairs of points where the outline crosses a cell, and a corner to fan from."""
     n, m = nodes.shape[0] - 1, nodes.shape[1] - 1
     corners = [numbers[i : n + i, j : m + j] for i, j in _CORNERS]
     along, up = sides.along
@@ -283,7 +283,7 @@ def _fans(owners: NDArray[np.intp], pairs: NDArray[np.intp], start: int, between
 
 
 def _followed(chords: Array, within: Within, most: float) -> Array:
-    """Put points of the outline between the ends of its chords, shape=(n, 2, 2); on the chord where none is near."""
+    """Insert points of the outline between the ends of its chords, shape=(n, 2, 2); on the chord if none is near."""
     part = np.linspace(0.0, 1.0, _BETWEEN + 2)[1:-1]
     along = chords[:, 1] - chords[:, 0]
     lengths = np.linalg.norm(along, axis=1)
@@ -291,7 +291,7 @@ def _followed(chords: Array, within: Within, most: float) -> Array:
     places = (chords[:, :1] + part[:, None] * along[:, None]).reshape(-1, 2)
     reach = np.repeat(across * np.minimum(0.5 * lengths, most)[:, None], _BETWEEN, axis=0)
     inside = within(places)
-    reach = np.where(inside[:, None], reach, -reach)  # cells go round anticlockwise, so that outside is on the right
+    reach = np.where(inside[:, None], reach, -reach)  # cells are anticlockwise, so that outside is on the right
     found = within(places + reach) != inside
     inner = np.where(inside[:, None], places, places + reach)
     outer = np.where(inside[:, None], places + reach, places)
@@ -300,7 +300,7 @@ def _followed(chords: Array, within: Within, most: float) -> Array:
 
 
 def _end_lines(points: Array, numbers: NDArray[np.intp], sides: _Sides) -> Array:
-    """Return the sides of cells along the rim of the grid that are inside."""
+    """Return the sides of cells along the edge of the grid that are inside."""
     lines = []
     for nodes, cuts in (
         (numbers[:, 0], sides.along[0][:, 0]),

@@ -1,4 +1,4 @@
-"""Predicted accuracy after calibration against the number of poses measured, for each way to choose them."""
+"""Predicted accuracy after calibration against the number of measured poses, by selection strategy."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _STRATEGIES: Mapping[Strategy, tuple[str, str]] = {
     "random": ("#999999", "random"),
     "least-sensitive": ("#D55E00", "in the least sensitive region (the chapter's rule)"),
 }
-"""Colour of each strategy, of Okabe and Ito, and its words."""
+"""Colour (Okabe and Ito) and description of each strategy."""
 
 
 def plan_accuracy(
     counts: Sequence[int], curves: Mapping[Strategy, NDArray[np.float64]], minimum: int | None = None
 ) -> Figure:
-    """Draw the predicted tip error [m] by strategy over numbers of poses, the mean over seeds with its range.
+    """Draw the predicted tip error [m] by strategy over the number of poses: the mean over seeds, and the range.
 
     Raises:
         InvalidValueError: a curve does not have as many rows as there are counts.

@@ -50,14 +50,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-_ELEVATION, _AZIMUTH = 28.0, -55.0  # where the surface is seen from [deg]
-_BOX = np.array([1.0, 1.0, 0.72])  # its sides
+_ELEVATION, _AZIMUTH = 28.0, -55.0  # of the view of the surface [deg]
+_BOX = np.array([1.0, 1.0, 0.72])  # sides of the drawing
 _HEIGHT, _LINE = 3.2, 0.17  # of the picture and of a line of its title [inch]
-_LONGEST_LABEL = 36  # letters beside the picture
-_LONGEST_TITLE = 100  # letters in one line
-_FACES = 20_000  # flat triangles of the surface, at least, so that their colours run into each other
+_LONGEST_LABEL = 36  # characters next to the picture
+_LONGEST_TITLE = 100  # characters in one line
+_FACES = 20_000  # least number of flat triangles of the surface, for smooth colours
 _PIECES = 160  # of a line of the grid
-_LINES = 9  # lines of the grid that are drawn on the surface, along each of its dimensions
+_LINES = 9  # grid lines drawn on the surface along each dimension
 
 
 def section_map(
@@ -68,12 +68,12 @@ def section_map(
     within: Within | None = None,
     exact: Callable[[Array], Array] | None = None,
 ) -> Figure:
-    """Draw one variable of a section as a surface and as filled contours, as wide as two columns of a journal.
+    """Draw one variable of a section as a surface and as filled contours, two journal columns wide.
 
-    Shown are the values at the poses of the section and along its outline, with flat triangles between them. The
-    outline is found by the limits `within`; without them, the map ends at the last poses. `exact` gives the variable at
-    any points within the limits, shape=(n, 2) to (n,); without it values between poses are interpolated, and those at
-    the outline extrapolated. `entry` is the label along the variable's own dimension; of a matrix one of the diagonal.
+    It shows the values at the poses of the section and along its outline, with flat triangles in between. The outline
+    is found by the limits `within`; without them, the map ends at the last poses. `exact` evaluates the variable at any
+    points within the limits, shape=(n, 2) to (n,); without it, values are interpolated between poses and extrapolated
+    to the outline. `entry` is the label along the variable's own dimension, or of a diagonal entry of a matrix.
 
     Raises:
         InvalidValueError: no such variable, other dimensions, or fewer than three values to draw.
@@ -83,7 +83,7 @@ def section_map(
         height = _HEIGHT + _LINE * sheet.title.count("\n")
         figure = new_figure(TWO_COLUMNS, height)
         figure.suptitle(sheet.title, y=1.0 - 0.09 / height, va="top")
-        # placed by hand: no layout engine knows the size of labels in space
+        # placed manually: layout engines do not know the size of labels in 3D
         part = _HEIGHT / height
         _draw_surface(figure.add_axes((-0.03, 0.02, 0.48, 0.93 * part), projection="3d"), sheet)
         contours = figure.add_axes((0.555, 0.19 * part, 0.325, 0.67 * part))
@@ -96,21 +96,21 @@ def section_map(
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """What is drawn: (first, second coordinate, value in the drawn unit) at every point, and the words."""
+    """The drawn data, (first, second coordinate, value in display units) at every point, and the texts."""
 
-    grid: Array  #: points in the order of the grid, NaN where a limit excludes the pose, shape=(n, m, 3)
-    points: Array  #: all points that are drawn, shape=(p, 3)
-    triangles: NDArray[np.int32]  #: triangles between them, indices, shape=(t, 3)
+    grid: Array  #: points in grid order, NaN where a limit excludes the pose, shape=(n, m, 3)
+    points: Array  #: all drawn points, shape=(p, 3)
+    triangles: NDArray[np.int32]  #: triangles by point indices, shape=(t, 3)
     limit_lines: list[Array]  #: lines where a limit ends the map, each shape=(k, 3)
     end_lines: list[Array]  #: lines where the grid ends it
-    axes: tuple[str, str]  #: words on the axes of the coordinates
-    same_unit: bool  #: whether both coordinates have one unit
-    title: str  #: words over the figure
-    label: str  #: words on the axis of the values
+    axes: tuple[str, str]  #: labels of the coordinate axes
+    same_unit: bool  #: whether both coordinates have the same unit
+    title: str  #: title of the figure
+    label: str  #: label of the value axis
 
     @cached_property
     def extent(self) -> Array:
-        """Ends of both coordinates: those of one unit on one scale, about zero if it is inside, shape=(2, 2)."""
+        """Ends of both axes, shape=(2, 2): equal scales for the same unit, symmetric about zero if it is inside."""
         low, high = self.points[:, :2].min(axis=0), self.points[:, :2].max(axis=0)
         if not self.same_unit:
             return np.stack([low, high], axis=-1)
@@ -140,7 +140,7 @@ def _sheet(
     if entry is not None:
         variable = variable.sel(dict.fromkeys(own, entry))
     if variable.ndim != 2:
-        raise InvalidValueError("section", dict(section.sizes), "a map over two coordinates, one entry a pose")
+        raise InvalidValueError("section", dict(section.sizes), "a map over two coordinates, one entry per pose")
     values, attributes = np.where(np.isfinite(variable.values), variable.values, np.nan), variable.attrs
     if np.isfinite(values).sum() < 3:
         raise InvalidValueError(name, f"{np.isfinite(values).sum()} values", "at least three poses to draw")
@@ -178,7 +178,7 @@ def _sheet(
         axes=(axis_label(across[0], units[0]), axis_label(across[1], units[1])),
         same_unit=units[0] == units[1],
         title=f"{title}{separator}{section_of}" if stands else title,
-        # the title has the words too, so long ones are left out here
+        # long names are omitted, since the title has them
         label=in_brackets(words if len(words) <= _LONGEST_LABEL else "", unit).strip(),
     )
 
@@ -186,7 +186,7 @@ def _sheet(
 def _evaluated(
     mesh: OutlinedMesh, heights: Array, exact: Callable[[Array], Array]
 ) -> tuple[Array, NDArray[np.intp], Array]:
-    """Divide every triangle into four, and evaluate at all corners; along the outline between the values beside it."""
+    """Divide every triangle into four, and evaluate at all corners; interpolate along the outline."""
     edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     pairs, numbers, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     middles, inner, count = mesh.points[pairs].mean(axis=1), counts > 1, len(mesh.points)
@@ -204,7 +204,7 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
     scale = sheet.scale
     levels = np.array([scale.levels[0], scale.levels[-1]])
 
-    def heights(values: Array) -> Array:  # what lies beyond the colours is cut off
+    def heights(values: Array) -> Array:  # clip values beyond the colour scale
         within: Array = np.clip(values, *levels)
         return np.log10(within) if scale.logarithmic else within
 
@@ -213,8 +213,8 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
     means = faces[:, :, 2].mean(axis=1)
     face_colors = colormaps[COLORMAP](scale.smooth_norm()(10.0**means if scale.logarithmic else means))
     limits = np.vstack([sheet.extent, heights(levels)])
-    # Lines and triangles stand in one collection, so that they hide each other by their depth; the lines are drawn
-    # a little nearer, out of the triangles they lie in.
+    # Lines and triangles are in one collection, so that they are depth-sorted together; the lines are drawn slightly
+    # nearer than the triangles they lie in.
     lifted = np.concatenate([sheet.grid[..., :2], heights(sheet.grid[..., 2:])], axis=-1)
     segments = _grid_segments(lifted) + 0.02 * np.ptp(limits, axis=1) / _BOX * towards_viewer(_ELEVATION, _AZIMUTH)
     line_colors = np.tile([0.0, 0.0, 0.0, 0.6], (len(segments), 1))
@@ -224,7 +224,7 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
             facecolors=np.concatenate([face_colors, line_colors]),
             edgecolors=np.concatenate([face_colors, line_colors]),
             linewidths=0.35,
-            rasterized=True,  # many small faces, which would make files of lines large
+            rasterized=True,  # many small faces would make vector files large
         )
     )
     for lines, style in ((sheet.limit_lines, LIMIT_LINE), (sheet.end_lines, END_LINE)):
@@ -242,7 +242,7 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
         axes.zaxis.set_major_formatter(FuncFormatter(lambda value, _: number(10.0**value)))
     axes.tick_params(pad=-1)
     axes.tick_params(axis="z", pad=3)
-    for axis, label in ((axes.xaxis, "x"), (axes.yaxis, "y")):  # the nearest corner belongs to both
+    for axis, label in ((axes.xaxis, "x"), (axes.yaxis, "y")):  # the nearest corner is shared
         low, high = getattr(axes, f"get_{label}lim")()
         near = high if label == "x" else low
         ticks = [tick for tick in axis.get_majorticklocs() if low <= tick <= high]
@@ -252,15 +252,15 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
 
 
 def _grid_segments(grid: Array) -> Array:
-    """Some lines of the grid as flat triangles (p, q, q), shape=(s, 3, 3)."""
+    """Return some grid lines as flat triangles (p, q, q), shape=(s, 3, 3)."""
     segments = []
     for lines in (grid, grid.swapaxes(0, 1)):
         drawn = lines[np.unique(np.linspace(0, len(lines) - 1, _LINES).round().astype(int))]
         pairs = np.stack([drawn[:, :-1], drawn[:, 1:], drawn[:, 1:]], axis=2).reshape(-1, 3, 3)
         segments.append(pairs[np.all(np.isfinite(pairs), axis=(1, 2))])
-    # the last ray of a polar grid may lie on the first
+    # the last ray of a polar grid may coincide with the first
     lines_drawn = np.unique(np.concatenate(segments).round(9), axis=0)
-    # pieces as short as the faces, so that both are sorted by depth alike
+    # pieces as short as the faces, for consistent depth sorting
     parts = np.linspace(0.0, 1.0, max(1, -(-_PIECES // max(grid.shape[:2]))) + 1)[:, None, None, None]
     first, last = lines_drawn[:, :1], lines_drawn[:, 1:2]
     starts, ends = (first + part * (last - first) for part in (parts[:-1], parts[1:]))

@@ -1,4 +1,4 @@
-"""The house style of all pictures, and how they are written."""
+"""The style of all pictures, and writing them to files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from pm3dof_pin.figures.labels import plain
 from pm3dof_pin.files import write_atomically
 
-COLORMAP = "viridis"  # even in lightness: readable without colour vision and in grey
+COLORMAP = "viridis"  # perceptually uniform: readable without colour vision and in greyscale
 DPI = 300
 ONE_COLUMN, TWO_COLUMNS = 88.0 / 25.4, 180.0 / 25.4  # widths of pictures in journals: 88 and 180 mm [inch]
 INK = "#222222"
@@ -30,12 +30,12 @@ LIMIT_STYLES = {
     "tilt": ("#CC79A7", "universal joint of the passive leg"),
     "height": ("#56B4E9", "stop of the passive leg"),
 }
-"""Of the chapter's limits: Okabe and Ito's colours, told apart by all kinds of colour vision, and words."""
+"""Colours and labels of the chapter's limits; Okabe and Ito's colours suit all kinds of colour vision."""
 
 _OTHER_COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#332288", "#882255")
 
 _STYLE = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib, so that pictures are the same everywhere
+    "font.family": "DejaVu Sans",  # included in matplotlib, so that pictures are identical everywhere
     "mathtext.fontset": "dejavusans",
     "font.size": 8.0,
     "axes.titlesize": 8.0,
@@ -56,19 +56,19 @@ _STYLE = {
     "lines.linewidth": 1.2,
     "legend.frameon": False,
     "savefig.facecolor": "white",
-    "pdf.fonttype": 42,  # letters stay letters
+    "pdf.fonttype": 42,  # text remains text
     "svg.hashsalt": "pm3dof",
 }
 LIMIT_LINE: dict[str, Any] = {"color": INK, "linewidth": 1.0}
 END_LINE: dict[str, Any] = {"color": "#777777", "linewidth": 1.0, "linestyle": (0, (3.0, 2.0))}
-"""Edges of a map: a joint limit, and the end of the grid behind which the robot could go on."""
+"""Edges of a map: a joint limit, and the end of the grid, beyond which the robot could move."""
 
 FORMATS = ("png", "pdf", "svg")
-_UNDATED = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}  # what a file would say of its time and maker
+_UNDATED = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}  # metadata of time and software
 
 
 def limit_styles(names: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Return colour and words for each limit of a robot, named from the lowest bit on."""
+    """Return colour and label for each limit of a robot, from the lowest bit."""
     if set(names) <= set(LIMIT_STYLES):
         return {name: LIMIT_STYLES[name] for name in names}
     others = [name for name in names if name != "reach"]
@@ -77,31 +77,31 @@ def limit_styles(names: Sequence[str]) -> dict[str, tuple[str, str]]:
 
 
 def spring_colors(count: int) -> list[str]:
-    """Return a colour for each of some springs."""
+    """Return a colour for each spring."""
     return list(itertools.islice(itertools.cycle(_OTHER_COLORS), count))
 
 
 def collected(style: dict[str, Any]) -> dict[str, Any]:
-    """Return the style of a line as that of a collection of lines."""
+    """Convert the style of a line to that of a line collection."""
     return {f"{name}s": value for name, value in style.items()}
 
 
 def round_ticks(axes: Any, across: int = 5, up: int = 5) -> None:
-    """Put so many ticks at most along both axes, at round numbers."""
+    """Set ticks at round numbers, at most so many along each axis."""
     for axis, count in ((axes.xaxis, across), (axes.yaxis, up)):
         axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
 
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw in the house style inside the block; the user's own settings are ignored there, and restored after it."""
+    """Use the house style within the block; the user's settings are ignored inside and restored afterwards."""
     with style.context(["default", _STYLE]):
         yield
 
 
 @contextmanager
 def _fonts_undated() -> Iterator[None]:
-    """Leave warnings of the dates of fonts out of the log."""
+    """Suppress log warnings about the dates of fonts."""
     log = logging.getLogger("fontTools")
     before = log.level
     log.setLevel(logging.ERROR)
@@ -112,17 +112,17 @@ def _fonts_undated() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure [inch] that needs no screen, to be filled inside :func:`house_style`."""
+    """Return an empty figure [inch] that needs no screen, to be filled within :func:`house_style`."""
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
 
 
 def save_figure(figure: Figure, path: Path | str) -> Path:
-    """Write a figure as PDF, SVG or PNG by the suffix, and return the path; equal figures give equal bytes.
+    """Write a figure as PDF, SVG or PNG by suffix, and return the path; equal figures give equal bytes.
 
     Raises:
-        OutputError: the file cannot be written; nothing is left of it.
+        OutputError: the file cannot be written; no partial file is left.
     """
     kind = suffix if (suffix := Path(path).suffix[1:].lower()) in _UNDATED else "png"
     with house_style(), _fonts_undated(), write_atomically(path) as temporary:
@@ -131,7 +131,7 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
 
 
 def save_pictures(figure: Figure, path: Path | str, formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Write a figure in several of :data:`FORMATS`; files of its name in others, of a former run, are removed.
+    """Write a figure in several of :data:`FORMATS`; its files in other formats, from earlier runs, are removed.
 
     Raises:
         OutputError: a file cannot be written.

@@ -1,4 +1,4 @@
-"""The reachable set over the coordinates of a robot: solid, sections and ranges over the third one (Fig. 8.2)."""
+"""The reachable set over the coordinates of a robot: solid, sections, and ranges over the third one (Fig. 8.2)."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from pm3dof_pin.maps.workspace import Workspace
 from pm3dof_pin.maps.workspace_section import WorkspaceSection
 from pm3dof_pin.typing import Array
 
-_OUTLINES = 6  # sections whose outline is drawn
-_CELLS = {2: 80, 3: 41}  # of the grid on which outlines and the solid are found, along each coordinate
-_DASHES = 36  # pieces of an edge of the printed box
-_ELEVATION, _AZIMUTH = 18.0, -60.0  # where the solid is seen from [deg]
+_OUTLINES = 6  # number of drawn outlines of sections
+_CELLS = {2: 80, 3: 41}  # of the grid for outlines and the solid, along each coordinate
+_DASHES = 36  # per edge of the printed box
+_ELEVATION, _AZIMUTH = 18.0, -60.0  # of the view of the solid [deg]
 _BOX = np.array([1.0, 1.0, 1.1])  # sides of the drawing
 _LIGHT = np.array([0.35, -0.75, 0.55])
 _MARGIN = 1.07
 
 
 def workspace_figure(workspace: Workspace, printed: Array | None = None) -> Figure:
-    """Draw the reachable set with the limit that ends it in colour, printed ranges, shape=(3, 2) [m, rad], beside it.
+    """Draw the reachable set coloured by the binding limit, with printed ranges, shape=(3, 2) [m, rad], for comparison.
 
-    It may be of any shape. Of two coordinates the one section is drawn.
+    The set may have any shape. For two coordinates, the only section is drawn.
     """
     sheet = _Sheet(workspace, printed)
     with house_style():
@@ -46,7 +46,7 @@ def workspace_figure(workspace: Workspace, printed: Array | None = None) -> Figu
         figure.suptitle(
             f"Reachable set under all {'' if printed is None else 'joint '}limits: {plain(workspace.space.machine)}"
         )
-        # placed by hand: no layout engine knows the size of labels in space
+        # placed manually: layout engines do not know the size of labels in 3D
         if sheet.solid is not None:
             _draw_solid(figure.add_axes((-0.035, 0.05, 0.625, 0.92), projection="3d"), sheet, sheet.solid)
             _draw_outlines(figure.add_axes((0.655, 0.475, 0.325, 0.455)), sheet)
@@ -58,7 +58,7 @@ def workspace_figure(workspace: Workspace, printed: Array | None = None) -> Figu
 
 
 class _Sheet:
-    """What is drawn: coordinates in the units of the picture, colours of the limits, and the ends of the axes."""
+    """The drawn data: coordinates in display units, colours of the limits, and the ends of the axes."""
 
     def __init__(self, workspace: Workspace, printed: Array | None) -> None:
         space = workspace.space
@@ -72,7 +72,7 @@ class _Sheet:
         self.limits = self._axes_limits()
         self.outlines = [self._faces(partial(space.flags, levels=section.level), 2) for section in self.sections]
         self.solid = self._faces(space.broken_limits, 3) if space.stacked else None
-        # where several limits bind the first is shown; those that are shown have colours of their own
+        # if several limits bind, the first is shown; those shown have individual colours
         flags = np.concatenate([faces.limits for faces in (*self.outlines, *([self.solid] if self.solid else []))])
         self.shown_limits = [space.limits[k] for k in np.unique(_first(flags[flags > 0]))]
         self.styles = limit_styles([*self.shown_limits, *(n for n in space.limits if n not in self.shown_limits)])
@@ -95,23 +95,23 @@ class _Sheet:
         return np.vstack([plane, [ends.min(), ends.max()]])
 
     def _faces(self, broken_limits: Callable[[Array], Flags], dimensions: int) -> BoundaryFaces:
-        """Return the faces of the solid or of a section, as drawn."""
+        """Return the faces of the solid or of a section in display units."""
         ranges = np.vstack([self.workspace.ranges, self.workspace.level_range])[:dimensions]
         faces = boundary_faces(broken_limits, ranges, _CELLS[dimensions])
         factors = np.array([float(drawn(1.0, unit)) for unit in self.units[:dimensions]])
         return BoundaryFaces(faces.corners * factors, faces.normals / factors, faces.limits)
 
     def points(self, section: WorkspaceSection) -> Array:
-        """Boundary points of a section as drawn, shape=(m, 2)."""
+        """Return boundary points of a section in display units, shape=(m, 2)."""
         return np.column_stack([drawn(c, unit) for c, unit in zip(section.points.T, self.units, strict=False)])
 
     def colors(self, flags: Flags) -> Array:
-        """Colour for each sum of limits; where several bind, that of the first, shape=(..., 4)."""
+        """Return the colour of each set of limits, that of the first if several bind, shape=(..., 4)."""
         return np.array([to_rgba(self.styles[name][0]) for name in self.workspace.space.limits])[_first(flags)]
 
     @cached_property
     def sections(self) -> list[WorkspaceSection]:
-        """Sections whose outline is drawn: equally spaced, without the ends."""
+        """Return the sections whose outlines are drawn: equally spaced, without the ends."""
         sections = self.workspace.sections
         if len(sections) == 1:
             return list(sections)
@@ -120,7 +120,7 @@ class _Sheet:
 
 
 def _first(flags: Flags) -> NDArray[np.intp]:
-    """Number of the first limit in each sum of limits."""
+    """Return the number of the first limit in each set of limits."""
     lowest = flags & -flags.astype(np.int64)
     return np.asarray(np.log2(np.maximum(lowest, 1)).astype(np.intp))
 
@@ -130,7 +130,7 @@ def _draw_solid(axes: Any, sheet: _Sheet, solid: BoundaryFaces) -> None:
     towards = towards_viewer(_ELEVATION, _AZIMUTH)
     normals = solid.normals / scale
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    facing = normals @ towards > -1e-3  # what faces away is behind the rest, and would show as a fringe around it
+    facing = normals @ towards > -1e-3  # hidden back faces would show as a fringe
     colors = sheet.colors(solid.limits)
     colors[:, :3] *= (0.68 + 0.32 * normals @ (_LIGHT / np.linalg.norm(_LIGHT)))[:, None]
     levels = drawn([section.level for section in sheet.sections], sheet.units[2])
@@ -144,7 +144,7 @@ def _draw_solid(axes: Any, sheet: _Sheet, solid: BoundaryFaces) -> None:
             facecolors=all_colors,
             edgecolors=all_colors,
             linewidths=0.25,
-            joinstyle="bevel",  # mitres of thin faces would stand out as spikes
+            joinstyle="bevel",  # mitres of thin faces would form spikes
             rasterized=True,
         )
     )
@@ -161,13 +161,13 @@ def _draw_solid(axes: Any, sheet: _Sheet, solid: BoundaryFaces) -> None:
 
 
 def _raised(outline: BoundaryFaces, level: float, towards: Array) -> Array:
-    """Return what of an outline faces the viewer as flat polygons at its level, shape=(n, 4, 3)."""
+    """Return the part of an outline that faces the viewer, as flat polygons at its level, shape=(n, 4, 3)."""
     corners = outline.corners[outline.normals @ towards[:2] > 0.0]
     return flat_quadrilaterals(np.concatenate([corners, np.full((*corners.shape[:2], 1), level)], axis=2))
 
 
 def _dashed(ranges: Array) -> Array:
-    """Edges of a box, every second piece of them, shape=(m, 4, 3)."""
+    """Return every second piece of the edges of a box, shape=(m, 4, 3)."""
     corners = np.array(list(itertools.product(*ranges)))
     edges = [(p, q) for p in range(8) for q in range(p) if np.sum(corners[p] != corners[q]) == 1]
     lines = np.stack([np.linspace(corners[p], corners[q], _DASHES) for p, q in edges])
@@ -179,7 +179,7 @@ def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
         colors = sheet.colors(outline.limits)
         axes.add_collection(LineCollection(list(outline.corners), colors=colors, linewidths=1.2, capstyle="round"))
         if sheet.workspace.space.stacked:
-            # each level stands on its own line, in a direction of its own
+            # each level is labelled on its own line, in its own direction
             points = sheet.points(section)
             x, y = points[int((place + 0.25) * len(points) / len(sheet.sections))]
             box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
@@ -197,7 +197,7 @@ def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
 
 
 def _draw_profile(axes: Any, sheet: _Sheet) -> None:
-    """Draw the ranges of both coordinates over the third: in one unit if they have one, else as parts of the axes."""
+    """Draw the ranges of both coordinates over the third, in their common unit or else relative to the axes."""
     space = sheet.workspace.space
     levels = drawn(sheet.workspace.levels, sheet.units[2])
     ranges = np.array([section.ranges for section in sheet.workspace.sections])
@@ -215,7 +215,7 @@ def _draw_profile(axes: Any, sheet: _Sheet) -> None:
     unit = f"[{'deg' if sheet.units[0] == 'rad' else sheet.units[0]}]"
     ends = sheet.limits[:2] if sheet.same_unit else np.array([[0.0, 1.0]])
     axes.set(
-        xlabel=f"range of {both} {unit if sheet.same_unit else '[part of the axes above]'}", ylabel=sheet.labels[2]
+        xlabel=f"range of {both} {unit if sheet.same_unit else '[relative to the axes above]'}", ylabel=sheet.labels[2]
     )
     axes.set(xlim=(ends[:, 0].min(), ends[:, 1].max()))
     axes.margins(y=0.05)

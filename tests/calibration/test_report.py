@@ -224,5 +224,5 @@ def test_without_parameters_no_floor_is_drawn(calibration: Calibration, tripod_e
     assert maps is not None
     assert maps.floor is None
     page = report_as_html(learned, "pm3dof", None, maps)
-    assert "What no command corrects is not drawn" in page
-    assert "The floor is what no command corrects" not in page
+    assert "The part that no command corrects is not drawn" in page
+    assert "The floor is the part that no command corrects" not in page

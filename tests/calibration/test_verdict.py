@@ -137,9 +137,10 @@ def test_warming_and_backlash_are_said(
 def test_the_report_says_it_first(calibration: Calibration, judgement: Verdict) -> None:
     page = report_as_html(calibration, "pm3dof", judgement=judgement)
     body = page[page.index("<body>") :]
-    places = [body.index(words) for words in ("To expect:", "Not seen:", "To do next:", "Where the rest comes from")]
+    words = ("To expect:", "Not seen:", "To do next:", "Sources of the remaining error")
+    places = [body.index(heading) for heading in words]
     assert places == sorted(places)
-    assert body.index("The measurements") > places[3]
+    assert body.index("Measurements</h2>") > places[3]
     assert "repeatability RP" in body
 
 
