@@ -44,7 +44,7 @@ class CsvTable:
         header: the names of the columns in these units, in the order of the file.
         lines: the line of each row.
         columns: shape=(n,) each, by name.
-        warnings: oddities of the file.
+        warnings: warnings about the file.
     """
 
     def __init__(self, path: Path, needed: Sequence[str]) -> None:

@@ -48,11 +48,11 @@ class Measurements:
         positions: measured positions of the tool point, or of `points`, in the world, shape=(n, 3) [m].
         rotations: orientation of the tool, shape=(n, 3, 3); None if positions only were measured.
         sigmas: noise of each measured coordinate (x, y, z, then about these axes), shape=(n, 6) or (n, 3), then of each
-            encoder [m, rad]; infinite if not measured. That of a distance is the first.
+            encoder [m, rad]; infinite if not measured. For a distance it is the first.
         points: the points seen, in the tool's axes from the tool point, shape=(n, 3) [m]; zeros for the tool point.
         conditions: temperatures and loads by the name of their column, shape=(n,) each.
         lines: line of the file of each row, shape=(n,); counted from 2 if there is no file.
-        warnings: oddities of the file.
+        warnings: warnings about the file.
         registration: registration that brought them into base axes; None if they were measured in base axes.
         target_sigma: prior standard deviation of `points` other than the tool point, per coordinate [m]; 0 if known
             exactly.
@@ -182,7 +182,7 @@ class Measurements:
         Args:
             commands: readings of the drives' counters, shape=(n, number of commands) [m, rad].
             transforms: measured poses, shape=(n, 4, 4).
-            instrument: instrument with their noise.
+            instrument: instrument that determines their noise.
 
         Raises:
             InvalidValueError: numbers that are not finite, or shapes that do not match.
