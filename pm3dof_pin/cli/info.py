@@ -90,7 +90,7 @@ def _file_schema(kind: _FileKind) -> dict[str, Any]:
 
 def _files(files: RobotFiles) -> dict[str, Any]:
     return {
-        "description": str(files.path),
+        "description": str(files.described),
         "format": files.format,
         "urdf": str(files.path) if files.format == "urdf" else None,
         "closures_file": str(files.closures) if files.closures is not None else None,

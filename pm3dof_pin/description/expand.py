@@ -105,7 +105,9 @@ def _expanded_apart(path: Path, mappings: Mapping[str, str], package_paths: Iter
         advice = "if you trust the file: pm3dof --trust-xacro ..., or trust_xacro()"
         raise DescriptionError(path, "xacro", f"is not allowed: {answer['refused']}; {advice}")
     if "error" in answer:
-        raise DescriptionError(path, "xacro", answer["error"])
+        advice = ", which has no default; write a URDF with xacro FILE NAME:=VALUE -o FILE.urdf first"
+        is_argument = answer["error"].startswith("Undefined substitution argument")
+        raise DescriptionError(path, "xacro", answer["error"] + (advice if is_argument else ""))
     if len(answer["text"]) > MOST_BYTES:
         raise DescriptionError(path, "xacro", f"expected no more than {MOST_BYTES >> 20} MiB when expanded")
     return str(answer["text"])

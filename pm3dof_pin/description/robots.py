@@ -36,6 +36,7 @@ class RobotFiles:
     package_paths: tuple[Path, ...] = ()  #: folders to search for the ROS packages of meshes, in order
     #: folders that files may be read from: the description's own and those given
     own_folders: tuple[Path, ...] = ()
+    xacro: Path | None = None  #: the file that the tree was expanded from, if any
 
     @property
     def urdf(self) -> Path:
@@ -47,12 +48,18 @@ class RobotFiles:
     @property
     def source(self) -> Path:
         """The file with the names of closures, drives and springs."""
-        return self.closures or self.path
+        return self.closures or self.described
 
     @property
     def errors(self) -> Path:
         """The error file, which may not exist."""
-        return self.path.with_suffix(".errors.yaml")
+        beside = self.closures if self.xacro and self.closures else self.described
+        return beside.with_name(f"{self.name}.errors.yaml")
+
+    @property
+    def described(self) -> Path:
+        """The file that describes the tree: a xacro, not its expansion; relative file names in it start there."""
+        return self.xacro or self.path
 
 
 def robots_directory() -> Path:
@@ -110,6 +117,7 @@ def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = (
         format=form,
         package_paths=(*packages, *tree.resolve().parents),
         own_folders=(package_of(tree), *packages),
+        xacro=None if path == tree else tree,
     )
 
 

@@ -75,7 +75,7 @@ def _close(xacro: Any, substitution: Any, folders: list[str]) -> None:
         for candidate in candidates:
             if os.path.isdir(candidate) and _is_within(candidate, folders):
                 return candidate
-        raise _RefusedError(f"no package '{package}' in {', '.join(folders)}")
+        raise _RefusedError(f"no package '{package}' in {', '.join(folders)} (--package-path adds a folder)")
 
     xacro.safe_eval = checked_eval
     substitution._eval = checked_substitution

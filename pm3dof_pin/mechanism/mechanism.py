@@ -245,7 +245,7 @@ class Mechanism:
     def require_possible_inertias(self) -> None:
         """Raise DescriptionError if a moving body has :attr:`impossible_inertias`."""
         for name, problem in self.impossible_inertias.items():
-            path = self.source if self.files is None else self.files.path
+            path = self.source if self.files is None else self.files.described
             raise DescriptionError(path, f"link '{name}', with all links fixed to it: inertia", problem)
 
     @cached_property

@@ -104,6 +104,8 @@ def test_xacro_is_expanded(tmp_path: Path) -> None:
     assert '<link name="forearm"' in robot.urdf.read_text()
     assert robot.closures == closures
     assert path.parent in robot.package_paths
+    assert robot.described == path
+    assert robot.errors == closures.with_name("arm.errors.yaml")
 
 
 @pytest.mark.parametrize(
