@@ -28,7 +28,7 @@ TURN = pin.exp3(np.array([0.02, 0.0, 0.0]))
 @pytest.fixture(scope="module")
 def measured(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Measurements:
     truth = tripod_errors.sample(np.random.default_rng(8))
-    reached = tripod_errors.apply(truth).forward(tripod_nominal[:30].commands, guess=tripod_nominal[:30].q)
+    reached = tripod_errors.apply(truth).forward(tripod_nominal[:20].commands, guess=tripod_nominal[:20].q)
     return Measurements.of_poses(reached.commands, reached.transforms)
 
 
@@ -37,8 +37,8 @@ def _inverse(measurements: Measurements) -> Measurements:
     return replace(measurements, rotations=np.swapaxes(measurements.rotations, 1, 2))
 
 
-def _from_row_15(measurements: Measurements, shift: float) -> Measurements:
-    later = np.arange(len(measurements))[:, None] >= 15
+def _from_row_10(measurements: Measurements, shift: float) -> Measurements:
+    later = np.arange(len(measurements))[:, None] >= 10
     return replace(measurements, positions=measurements.positions + later * [shift, 0.0, 0.0])
 
 
@@ -73,7 +73,7 @@ MISTAKES: dict[str, tuple[Callable[[Measurements], Measurements], str]] = {
         "--own-frame",
     ),
     "inverse": (_inverse, "the orientations are inverse"),
-    "frame, from some line on": (lambda m: _from_row_15(m, 0.03), r"from line 17 on the .* by about \(30"),
+    "frame, from some line on": (lambda m: _from_row_10(m, 0.03), r"from line 12 on the .* by about \(30"),
     "zero of a drive, seen by heights": (
         lambda m: replace(
             m,
@@ -117,9 +117,9 @@ def test_a_frame_that_is_a_little_wrong_is_objected_to(measured: Measurements, t
 def test_a_change_too_small_to_be_refused_is_named(
     measured: Measurements, tripod_errors: GeometricErrors, caplog: pytest.LogCaptureFixture
 ) -> None:
-    _, _, reasons = calibrate_and_object(_from_row_15(measured, 4e-4), tripod_errors, Options("lm"))
+    _, _, reasons = calibrate_and_object(_from_row_10(measured, 4e-4), tripod_errors, Options("lm"))
     assert reasons == []
-    assert re.search("times the noise: most likely from line 17 on the (instrument|point)", caplog.text)
+    assert re.search("times the noise: most likely from line 12 on the (instrument|point)", caplog.text)
 
 
 @pytest.mark.usefixtures("report_without_pictures")

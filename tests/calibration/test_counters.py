@@ -22,7 +22,7 @@ MACHINE = Path(__file__).parents[1] / "machines" / "three_rpr"
 def _calibrated(robot: Robot) -> tuple[Measurements, np.ndarray, np.ndarray, np.ndarray]:
     """Return measurements, and in the joints' units: corrections at ten poses and how commands miss the best ones."""
     scales = np.array([command.scale for command in robot.commands])
-    poses = reachable_poses(robot, 30, np.random.default_rng(3))
+    poses = reachable_poses(robot, 16, np.random.default_rng(3))
     errors = closable(GeometricErrors(robot), poses)
     world = World.random("everything", errors, np.random.default_rng(4))
     measured = world.measure(poses.commands, np.random.default_rng(5))

@@ -28,7 +28,7 @@ def test_bounds_hold_parameters_are_near_and_nothing_gets_worse(setup: str) -> N
 
 
 def test_the_table_has_a_row_for_each_way_of_measuring(tmp_path: Path) -> None:
-    rows = [one_linear(("tripod", 3000, 1.0, setup, "lm"), 30) for setup in ("tracker", "targets") for _ in range(2)]
+    rows = [one_linear(("tripod", 3000, 1.0, setup, "lm"), 30) for setup in ("tracker", "targets")] * 2
     path = tmp_path / "coverage.csv"
     path.write_text("\n".join([",".join(rows[0]), *(",".join(map(str, row.values())) for row in rows)]) + "\n")
     lines = table(path).splitlines()

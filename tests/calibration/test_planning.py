@@ -57,7 +57,7 @@ def test_nothing_better_exists_among_few(
 def test_optimal_plans_beat_random_ones(problem: PlanningProblem, count: int) -> None:
     """By 1.4 or more in predicted tip error, the mean over five seeds; the chapter's rule does worse than chance."""
     predicted = {s: problem.accuracy_curve([count], s, SEEDS).mean() for s in ("random", "least-sensitive")}
-    d_optimal = problem.accuracy_curve([count], "d-optimal", SEEDS).mean()
+    d_optimal = problem.accuracy_curve([count], "d-optimal", SEEDS[:3]).mean()
     tip_optimal = problem.accuracy_curve([count], "tip-optimal", [0]).mean()
     assert predicted["random"] / d_optimal > 1.4
     assert predicted["least-sensitive"] / d_optimal > 2.0
@@ -68,7 +68,7 @@ def test_optimal_plans_beat_random_ones(problem: PlanningProblem, count: int) ->
 def test_the_gain_rests_on_how_far_tolerances_are_believed(
     problem: PlanningProblem, tripod_nominal: Poses, count: int, prior: float, least: float
 ) -> None:
-    other = PlanningProblem(problem.errors, problem.candidates, tripod_nominal, prior=prior)
+    other = PlanningProblem(problem.errors, problem.candidates[:800], tripod_nominal, prior=prior)
     random = other.accuracy_curve([count], "random", SEEDS).mean()
     assert random / other.accuracy_curve([count], "d-optimal", [0]).mean() > least
 
@@ -77,7 +77,7 @@ def test_the_prediction_is_what_a_calibration_attains(
     tripod_errors: GeometricErrors, candidates: Poses, tripod_nominal: Poses
 ) -> None:
     """Machines are drawn, measured with noise by closed loops, and their parameters estimated to first order."""
-    problem = PlanningProblem(tripod_errors, candidates, tripod_nominal[:60], prior=1.0)
+    problem = PlanningProblem(tripod_errors, candidates[:500], tripod_nominal[:60], prior=1.0)
     plan = problem.plan(12, "d-optimal", np.random.default_rng(0), restarts=1)
     instrument, rng = Instrument(), np.random.default_rng(1)
     finer = Instrument("pose", instrument.position_sigma / 10, instrument.angle_sigma / 10)
