@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+", re.ASCII)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bounds:
     """Permitted magnitudes of a kind of number."""
 
@@ -56,6 +57,7 @@ def parse_number(text: str, bounds: Bounds) -> tuple[float, str]:
     return number, bounds.problem(number)
 
 
+@lru_cache(maxsize=10_000)
 def parse_numbers(text: str, bounds: Bounds, count: int | None = None) -> tuple[tuple[float, ...], str]:
     """Read and check numbers separated by spaces; see :func:`parse_number`."""
     words = text.split()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from pm3dof_pin.description.own_files import package_of
-from pm3dof_pin.description.xml_file import read_xml
+from pm3dof_pin.description.xml_file import read_root_tag
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
 
 DESCRIPTION_SUFFIX = "_description"
@@ -181,7 +181,7 @@ def _beside(tree: Path, folder: str, *names: str) -> Path | None:
 
 
 def _format_of(tree: Path) -> Format:
-    tag = read_xml(tree).tag.rpartition("}")[2]
+    tag = read_root_tag(tree).rpartition("}")[2]
     if tag not in _FORMAT_OF_ROOT:
         form = _NOT_READ.get(tag, f"an XML file of <{tag}>")
         raise DescriptionError(tree, "file", f"this is {form}, which is not supported: expected URDF, xacro or MJCF")
@@ -190,7 +190,7 @@ def _format_of(tree: Path) -> Format:
 
 def _is_mjcf(tree: Path) -> bool:
     try:
-        return read_xml(tree).tag == "mujoco"
+        return read_root_tag(tree) == "mujoco"
     except DescriptionError:
         return False
 

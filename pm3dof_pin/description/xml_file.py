@@ -12,6 +12,8 @@ from pm3dof_pin.files import read_bytes
 MOST_DEPTH = 200
 """Maximum nesting of elements: later stages, in C++ and here, are recursive."""
 
+_BEGINNING = 2048  # bytes that hold most root elements
+
 
 def read_xml(path: Path | str) -> ElementTree.Element:
     """Read the root element of an XML file, without comments; entities, which can expand without limit, are refused.
@@ -20,16 +22,16 @@ def read_xml(path: Path | str) -> ElementTree.Element:
         DescriptionError: the file is unreadable, too large, too deeply nested, declares entities or is not XML; the
             message names the line.
     """
-    try:
-        content = read_bytes(path)
-        reader = _Reader(path)
-        reader.parser.Parse(content, True)
-    except expat.ExpatError as error:
-        place = f"line {error.lineno}, column {error.offset}"
-        raise DescriptionError(path, place, f"expected XML ({expat.ErrorString(error.code)})") from error
-    except (ValueError, LookupError) as error:  # an unknown encoding
-        raise DescriptionError(path, "file", f"expected XML in a known encoding ({error})") from error
+    reader = _Reader(path)
+    reader.read()
     return reader.builder.close()
+
+
+def read_root_tag(path: Path | str) -> str:
+    """Read the name of the root element, and no more of the file than that takes; errors as of :func:`read_xml`."""
+    reader = _Reader(path)
+    reader.read(until_root=True)
+    return reader.root_tag
 
 
 def comment_text(text: str) -> str:
@@ -41,6 +43,7 @@ class _Reader:
     def __init__(self, path: Path | str) -> None:
         self._path = path
         self._depth = 0
+        self.root_tag = ""
         self.builder = ElementTree.TreeBuilder()
         self.parser = expat.ParserCreate(namespace_separator="}")
         self.parser.buffer_text = True
@@ -49,11 +52,28 @@ class _Reader:
         self.parser.CharacterDataHandler = self.builder.data
         self.parser.EntityDeclHandler = self._refuse_entity
 
+    def read(self, *, until_root: bool = False) -> None:
+        try:
+            content = read_bytes(self._path)
+            size = _BEGINNING if until_root else len(content) + 1
+            for start in range(0, len(content) + 1, size):
+                self.parser.Parse(content[start : start + size], start + size > len(content))
+                if until_root and self.root_tag:
+                    return
+        except expat.ExpatError as error:
+            place = f"line {error.lineno}, column {error.offset}"
+            raise DescriptionError(self._path, place, f"expected XML ({expat.ErrorString(error.code)})") from error
+        except (ValueError, LookupError) as error:  # unknown encoding
+            raise DescriptionError(self._path, "file", f"expected XML in a known encoding ({error})") from error
+
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self.root_tag = self.root_tag or tag
         self._depth += 1
         if self._depth > MOST_DEPTH:
             raise DescriptionError(self._path, self._place(), f"expected elements at most {MOST_DEPTH} deep")
-        self.builder.start(_qualified(tag), {_qualified(name): value for name, value in attributes.items()})
+        if "}" in "".join(attributes):
+            attributes = {_qualified(name): value for name, value in attributes.items()}
+        self.builder.start(_qualified(tag), attributes)
 
     def _end(self, tag: str) -> None:
         self._depth -= 1

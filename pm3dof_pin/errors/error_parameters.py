@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.description.error_file import AXES, ErrorFile, read_error_file
-from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -125,7 +124,8 @@ class GeometricErrors:
             FrameNotFoundError: a file names a joint or frame that the URDF does not have.
         """
         robot = Robot.load(name_or_path, tool_frame=tool_frame, package_paths=package_paths)
-        return cls.of(robot, find_robot(name_or_path, package_paths).errors)
+        assert robot.files is not None
+        return cls.of(robot, robot.files.errors)
 
     @classmethod
     def of(cls, robot: Robot, file: Path) -> GeometricErrors:
