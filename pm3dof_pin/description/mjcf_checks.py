@@ -69,7 +69,7 @@ def check_mjcf(root: ElementTree.Element, path: Path) -> None:
     free = sum(element.tag == "freejoint" or element.get("type") == "free" for element in elements)
     if free > _MOST_FREE:
         raise DescriptionError(
-            path, "<worldbody>", f"has {free} free bodies, expected at most {_MOST_FREE}: leave out what is no robot"
+            path, "<worldbody>", f"has {free} free bodies, expected at most {_MOST_FREE}: remove other objects"
         )
     for world in root.findall("worldbody"):
         if _depth(world) > MOST_DEPTH:

@@ -13,24 +13,24 @@ from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.exceptions import DescriptionError
 
 _HEADER = """\
-# What the URDF, a tree, cannot say: where the loops close. Generated with it from the YAML in config/: edit that.
+# Loop closures, which a URDF, being a tree, cannot describe. Generated from the YAML in config/: edit that instead.
 # The first five keys are those of the robot.yaml files of example-parallel-robots.
 
 # Loop closures: the origins of the two frames coincide ('3d', a spherical joint), or the frames do ('6d', a weld).
 """
-_TOOL = "\n# Frame of the tool\n"
-_COUNTING = "# Components of its twist that count as its motion\n"
+_TOOL = "\n# Tool frame\n"
+_COUNTING = "# Components of its twist that make up its motion\n"
 _MOTIONS = "\n# Joints whose rates are the platform's independent motions\n"
 _COMMANDS = """
-# What the counter of a drive shows: scale (1 if not given) times the joint's coordinate, plus offset (0 if not given)
+# Counter readings of the drives: scale (default 1) times the joint coordinate plus offset (default 0)
 """
 _COORDINATES = """
-# The numbers that place the tool: a joint's coordinate, scaled and shifted in the same way, or a component (tool:) of
+# Coordinates of the tool: a joint coordinate, scaled and shifted in the same way, or a component (tool:) of
 # the tool's pose in the base, x, y, z, rx, ry, rz with R = Rx(rx) Ry(ry) Rz(rz)
 """
-_GROUPS = "\n# Names for kinds of limits: their joints, and their closures as frame_a-frame_b\n"
-_LIMITS = "\n# Greatest angle between the z axes of the two frames of a closure [rad]\n"
-_SPRINGS = "\n# What gives: m, N, rad; matrices in the order x, y, z, rx, ry, rz, in the axes of `at`\n"
+_GROUPS = "\n# Named groups of limits: joints, and closures as frame_a-frame_b\n"
+_LIMITS = "\n# Maximum angle between the z axes of the two frames of a closure [rad]\n"
+_SPRINGS = "\n# Springs, in m, N, rad; matrices in the order x, y, z, rx, ry, rz, in the axes of `at`\n"
 _TAGS = ("closure", "actuated", "tool", "motion", "coordinate", "limits", "spring")
 _NAMES = {"name", "type", "joint", "at", "unit", "frame", "frame_a", "frame_b", "command", "tool", "limits"}
 

@@ -118,7 +118,7 @@ class Joint:
     lower: float | None
     upper: float | None
     effort: float | None
-    velocity: float | None  #: None if it is not known, and 0 stands for it
+    velocity: float | None  #: None if unknown, which a URDF may give as 0
     damping: float
     friction: float
 

@@ -11,7 +11,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 def generate_launch_description():
     """Start the publishers of joints and frames, and RViz."""
     share = Path(get_package_share_directory("hexapod_description"))
-    # as a string: a parameter that is not told its type is read as YAML
+    # as a string: a parameter without a type is read as YAML
     urdf = ParameterValue((share / "urdf" / "hexapod.urdf").read_text(encoding="utf-8"), value_type=str)
     return LaunchDescription(
         [
