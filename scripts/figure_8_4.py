@@ -33,7 +33,7 @@ def main(out: Path = RESULTS, engine: str = "program", points: int = 181, format
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
-    parser.add_argument("--engine", choices=("program", "pinocchio"), default="program", help="what computes")
+    parser.add_argument("--engine", choices=("program", "pinocchio"), default="program", help="computation engine")
     parser.add_argument("--points", type=int, default=181, help="number of values of each tilt")
-    parser.add_argument("--format", dest="formats", nargs="+", choices=FORMATS, default=["png"], help="of the picture")
+    parser.add_argument("--format", dest="formats", nargs="+", choices=FORMATS, default=["png"], help="picture formats")
     main(**vars(parser.parse_args()))

@@ -71,9 +71,9 @@ def main(
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
-    parser.add_argument("--method", choices=METHODS, default="lm+gp", help="of the calibration")
+    parser.add_argument("--method", choices=METHODS, default="lm+gp", help="calibration method")
     parser.add_argument("--poses", type=int, default=20, help="number of poses measured")
-    parser.add_argument("--points", type=int, default=41, help="of the error map, along each tilt")
-    parser.add_argument("--seed", type=int, default=1, help="of the machine")
-    parser.add_argument("--format", dest="formats", nargs="+", choices=FORMATS, default=["png"], help="of the picture")
+    parser.add_argument("--points", type=int, default=41, help="points of the error map along each tilt")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the machine")
+    parser.add_argument("--format", dest="formats", nargs="+", choices=FORMATS, default=["png"], help="picture formats")
     main(**vars(parser.parse_args()))

@@ -29,5 +29,5 @@ def main(out: Path = RESULTS, engine: str = "program") -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
-    parser.add_argument("--engine", choices=("program", "pinocchio"), default="program", help="what computes")
+    parser.add_argument("--engine", choices=("program", "pinocchio"), default="program", help="computation engine")
     main(**vars(parser.parse_args()))

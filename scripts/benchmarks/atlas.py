@@ -35,7 +35,7 @@ def measure(robot: Robot, count: int, folder: Path, threads: int | None) -> None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     poses = count**3
     print(
-        f"{robot.name:10s} {poses / 1e6:6.2f} million poses: {wall:6.1f} s, {1e6 * wall / poses:5.2f} us a pose "
+        f"{robot.name:10s} {poses / 1e6:6.2f} million poses: {wall:6.1f} s, {1e6 * wall / poses:5.2f} us/pose "
         f"({1e6 * used / poses:5.2f} of processors), {size / poses:5.1f} bytes a pose, peak memory {peak:.0f} MiB"
     )
 

@@ -24,7 +24,7 @@ def main() -> None:
 
     whole = least_time(lambda: (chapter_stiffness(tripod, poses, on_failure="nan"), limit_flags(tripod, poses)))
     loop = least_time(one_by_one, tries=1)
-    print(f"{len(poses)} poses, stiffness and limits: {1e3 * whole:.2f} ms, {1e6 * whole / len(poses):.2f} us a pose")
+    print(f"{len(poses)} poses, stiffness and limits: {1e3 * whole:.2f} ms, {1e6 * whole / len(poses):.2f} us/pose")
     print(f"pose by pose in Python: {1e3 * loop:.0f} ms, {loop / whole:.0f} times as long")
 
 

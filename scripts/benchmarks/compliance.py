@@ -71,11 +71,11 @@ def main() -> dict[str, float]:
         )
         bare = times["bare"] / FEW
         print(f"{robot}: {model.mechanism.model.nv} velocities, {len(model.springs)} springs; first use {first:.2f} s")
-        print(f"  bare Pinocchio calls   {1e6 * bare:8.3f} us a pose")
+        print(f"  bare Pinocchio calls   {1e6 * bare:8.3f} us/pose")
         for name in ("compliance", "stiffness"):
             each = times[name] / POSES
             ratios[f"{robot}: {name} against bare Pinocchio calls"] = bare / each
-            print(f"  {name:<22} {1e6 * each:8.3f} us a pose, {bare / each:.0f} times faster (goal {goal})")
+            print(f"  {name:<22} {1e6 * each:8.3f} us/pose, {bare / each:.0f} times faster (goal {goal})")
         print(f"  cartesian_compliance   {1e6 * times['report'] / FEW:8.1f} us")
         print(f"    and all its ranks    {1e6 * times['careful']:8.1f} us")
 

@@ -40,7 +40,7 @@ def main() -> dict[str, float]:
             careful = least_time(partial(compute, few, engine="pinocchio"), clock=time.thread_time) / FEW
             ratios[f"{name}: {what} against Pinocchio"] = careful / each
             print(
-                f"{name}: {what:26} {1e6 * each:7.2f} us a pose, pose by pose {1e6 * careful:6.0f} us, "
+                f"{name}: {what:26} {1e6 * each:7.2f} us/pose, pose by pose {1e6 * careful:6.0f} us, "
                 f"{careful / each:5.0f} times; first use {first:.2f} s"
             )
     return ratios

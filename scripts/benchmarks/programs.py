@@ -65,7 +65,7 @@ def main() -> None:
         )
         print(f" ({1e6 * careful / len(program):.0f} us an operation), loaded in {1e3 * second:.1f} ms")
         each = times[1] / POSES
-        print(f"  {1e6 * each:.3f} us a pose, {1e12 * each / len(program):.0f} ps an operation", end="")
+        print(f"  {1e6 * each:.3f} us/pose, {1e12 * each / len(program):.0f} ps an operation", end="")
         print(f"; two threads {times[1] / times[2]:.2f} times faster; one pose alone {1e6 * times['one pose']:.1f} us")
 
 

@@ -119,10 +119,10 @@ def main() -> dict[str, float]:
         cpp = jacobians_microseconds(sample)
         print(f"{name}: {robot.model.nv} joint velocities, first use {first:.2f} s, second use {second:.3f} s")
         print(
-            f"  closing and limits over a map {closing * each:6.3f} us a pose, {careful / (closing * each):.0f} times "
+            f"  closing and limits over a map {closing * each:6.3f} us/pose, {careful / (closing * each):.0f} times "
             "faster than on Pinocchio, pose by pose from home"
         )
-        print(f"  compliance                    {elastic * each:6.3f} us a pose")
+        print(f"  compliance                    {elastic * each:6.3f} us/pose")
         print(f"  two threads against one       {', '.join(f'{what} {gain:.2f}' for what, gain in gains.items())}")
         print(f"  both, one thread              {1.0 / ((closing + elastic) * each):6.2f} million poses a second")
         print(f"  random pose within limits     {draw:6.2f} us")
