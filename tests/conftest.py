@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-# as in the command: the matrices are small, and threads inside BLAS only get in each other's way
+# as in the command: for small matrices, threads inside BLAS only compete
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
@@ -31,21 +31,21 @@ if TYPE_CHECKING:
     from pm3dof_pin.maps.workspace import Workspace
 
 
-gc.disable()  # while tests are collected: nothing of that is garbage
+gc.disable()  # during collection, which makes no garbage
 
 
 def pytest_collection_finish() -> None:
-    """Keep modules and tests out of garbage collection, and run it less often: it took a tenth of the whole time."""
+    """Exclude modules and tests from garbage collection, and run it less often: it took a tenth of the total time."""
     gc.freeze()
     gc.set_threshold(10_000, 20, 50)
     gc.enable()
 
 
-_OURS = (b"PM3DOF_", b"ROS_", b"HOME", b"PATH", b"MPL", b"PYTHONPATH", b"XDG_")  # libraries change others freely
+_OURS = (b"PM3DOF_", b"ROS_", b"HOME", b"PATH", b"MPL", b"PYTHONPATH", b"XDG_")  # libraries may change others
 
 
 def _state() -> dict[str, Any]:
-    """What a process has one of, and a test may leave changed; filters of warnings pytest restores."""
+    """Process-wide state that a test may change; pytest restores warning filters."""
     from pm3dof_pin.description import expand
 
     return {
@@ -56,7 +56,7 @@ def _state() -> dict[str, Any]:
         "handlers of logs": list(logging.getLogger("pm3dof_pin").handlers),
         "errors of numbers": np.geterr(),
         "trust in xacro": expand.is_xacro_trusted(),
-        # pools of threads are kept for the next program
+        # thread pools are kept for the next program
         "threads": {t for t in threading.enumerate() if not t.daemon and not t.name.startswith("ThreadPool")},
     }
 
@@ -70,9 +70,9 @@ def _levels() -> dict[str, int]:
 
 @pytest.fixture(autouse=True)
 def _nothing_left_behind() -> Iterator[None]:
-    """Let no test change its process for the next one; levels that a command sets, whose process would end, go back."""
+    """Fail a test that changes process-wide state; restore log levels, which a command may set."""
     before, levels, matplotlib = _state(), _levels(), sys.modules.get("matplotlib")
-    style = dict.copy(matplotlib.rcParams) if matplotlib else None  # without the checks of each of its items
+    style = dict.copy(matplotlib.rcParams) if matplotlib else None  # without checking each item
     yield
     for name in _levels():
         if logging.getLogger(name).level != levels.get(name, logging.NOTSET):  # setting it clears all loggers' caches
@@ -92,12 +92,12 @@ class Done:
 
 
 def run_command(*arguments: str, cwd: Path | None = None, merged: bool = False) -> Done:
-    """Run `pm3dof` with arguments inside this process, which spares the imports.
+    """Run `pm3dof` in this process, which saves the imports.
 
     Args:
         arguments: as on the command line.
         cwd: folder to run it in.
-        merged: whether messages come in `stdout` between the results, as on a terminal.
+        merged: whether `stdout` includes the messages, as on a terminal.
     """
     from pm3dof_pin.cli.app import main
 
@@ -126,7 +126,7 @@ def run() -> Callable[..., Done]:
 
 @pytest.fixture(scope="session")
 def answer() -> Callable[..., dict[str, Any]]:
-    """Run `pm3dof` with --json, expecting an exit status, and return what it answers."""
+    """Run `pm3dof` with --json, check its exit status, and return its answer."""
 
     def read(*arguments: str, status: int = 0, cwd: Path | None = None) -> dict[str, Any]:
         done = run_command(*arguments, "--json", cwd=cwd)
@@ -138,7 +138,7 @@ def answer() -> Callable[..., dict[str, Any]]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _coarse_pictures() -> Iterator[None]:
-    """Paint with fewer dots and triangles, in half the time; tests/figures paints at full resolution."""
+    """Render at lower resolution, in half the time; tests/figures renders at full resolution."""
     from pm3dof_pin.figures import section_map, style
 
     with pytest.MonkeyPatch.context() as patch:
@@ -149,7 +149,7 @@ def _coarse_pictures() -> Iterator[None]:
 
 @pytest.fixture
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make figures and their files, but paint nothing into them; other tests check pictures."""
+    """Make figures and their files without rendering; other tests check pictures."""
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
@@ -157,7 +157,7 @@ def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Spare the command the pictures of a calibration's report and most poses of its maps, half of what it takes."""
+    """Omit the pictures of a calibration report and most poses of its maps, which take half of its time."""
     from matplotlib.figure import Figure
 
     from pm3dof_pin.calibration import workspace_errors
@@ -255,7 +255,7 @@ def tripod_errors() -> GeometricErrors:
 
 @pytest.fixture(scope="session")
 def redundant_errors(tripod_errors: GeometricErrors) -> GeometricErrors:
-    """The same with one that has no effect on the tool: a rotation about the axis of a passive joint."""
+    """The same with one without effect on the tool: a rotation about the axis of a passive joint."""
     from pm3dof_pin.errors.error_parameters import GeometricErrors
 
     everything = GeometricErrors(tripod_errors.robot)

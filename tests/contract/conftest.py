@@ -20,10 +20,10 @@ class Case:
 
     Attributes:
         name: its name.
-        options: how a command is told of it.
-        axes: two coordinates and how far a map goes to either side of home on each, in the command line's units.
+        options: command line options that select it.
+        axes: two coordinates and the half width of a map about home on each, in the command line's units.
         springs: whether its description has springs.
-        tool: whether a single tool frame is meant.
+        tool: whether it has a single tool frame.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""One contract for every robot and every dialect: what works for one of them works for all."""
+"""One contract for every robot and every dialect: whatever works for one works for all."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _HOMES: dict[str, dict[str, float]] = {}
 
 
 def _home(run: Run, case: Case) -> dict[str, float]:
-    """Values of the coordinates at home, in the command line's units; asked for once."""
+    """Values of the coordinates at home, in the command line's units; computed once."""
     if case.name not in _HOMES:
         entries = run("info", *case.options, "--json").json["coordinates"]
         _HOMES[case.name] = {entry["name"]: _shown(entry["home"], entry["unit"]) for entry in entries}

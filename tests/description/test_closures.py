@@ -1,4 +1,4 @@
-"""Closures files read, and refused with the place where they are wrong."""
+"""Closures files read, and refused with the place of the error."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_closures_of_the_chapters_machine() -> None:
     assert closures.coordinates[:2] == tuple(
         Coordinate(f"theta_{axis}", "rad", joint=f"platform_{axis}_joint", lower=-tilt, upper=tilt) for axis in "xy"
     )
-    # a level platform: the link spans what is left of the radii, 374.25 - 75 - u cos 50 deg, over its height
+    # a level platform: the link spans the difference of the radii, 374.25 - 75 - u cos 50 deg, and the height
     heights = [
         math.sqrt(0.353**2 - (0.37425 - 0.075 - u * math.cos(math.radians(50.0))) ** 2)
         + u * math.sin(math.radians(50.0))

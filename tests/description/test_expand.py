@@ -129,7 +129,7 @@ def test_the_script_checks_and_writes(
 
 
 def _quarter_turns(tree: Tree) -> None:
-    """Four legs a quarter turn apart, the platform's joints 25 deg further on, flatter guideways."""
+    """Four legs a quarter turn apart, the platform's joints 25 deg further, flatter guideways."""
     tree["name"] = "four_legs"
     tree["geometry"]["base_joint_angles"]["value"] = [10.0, 100.0, 190.0, 280.0]
     tree["geometry"]["platform_joint_angles"]["value"] = [35.0, 125.0, 215.0, 305.0]

@@ -1,4 +1,4 @@
-"""The parameter file read into SI numbers, and refused with the place where it is wrong."""
+"""The parameter file read into SI numbers, and refused with the place of the error."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ def at_base() -> Robot:
 
 
 def _stiffness_with_joint_at_base(tripod: Tripod, robot: Robot, pose: Any) -> np.ndarray:
-    """K in plain NumPy: legs as ever, and a bar clamped in the platform, whose far end a joint in z_b holds."""
+    """K in plain NumPy: the usual legs, and a bar clamped in the platform, whose far end a joint at z_b holds."""
     configuration = robot.solve(pose).configuration()
     tool = configuration.frame_placement("O_e")
     origin, R, p = tool.translation, tool.rotation, tripod.parameters

@@ -251,7 +251,7 @@ def test_masses(tree: yourdfpy.URDF, numbers: dict[str, Any]) -> None:
     assert sum(mass.values()) == pytest.approx(moving + numbers["inertia.base_mass"], abs=1e-13)
 
 
-# Put to work
+# Used in computations
 
 
 def test_the_home_pose_closes(model: pin.Model) -> None:

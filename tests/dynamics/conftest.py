@@ -17,7 +17,7 @@ from pm3dof_pin.mechanism.configuration import Configuration
 
 @dataclass(frozen=True)
 class Link:
-    """A link of a planar linkage: length, mass, place of its centre of mass along and across it, inertia about that."""
+    """A link of a planar linkage: length, mass, centre of mass along and across it, inertia about that."""
 
     length: float
     mass: float
@@ -50,7 +50,7 @@ class FourBar:
         return np.array([along, to_tip / COUPLER.length, (to_tip - pivot) / ROCKER.length])
 
     def angles(self, crank: float) -> NDArray[np.float64]:
-        """Angles of the three links against the ground, shape=(3,) [rad]."""
+        """Angles of the three links relative to the ground, shape=(3,) [rad]."""
         directions = self.directions(crank).real
         return np.arctan2(directions[:, 1], directions[:, 0])
 
@@ -115,7 +115,7 @@ def make_four_bar() -> Callable[..., Robot]:
         _joint(model, crank, CRANK.length, COUPLER, "coupler")
         rocker = _joint(model, 0, GROUND, ROCKER, "rocker")
         end = "rocker_tip"
-        if closure == "6d":  # the pin between coupler and rocker is a joint of the tree then
+        if closure == "6d":  # the pin between coupler and rocker is then a joint of the tree
             pin_joint = model.addJoint(
                 rocker, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([ROCKER.length, 0.0, 0.0])), "pin_joint"
             )

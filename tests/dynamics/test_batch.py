@@ -22,11 +22,11 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 
 MACHINES = Path(__file__).parents[1] / "machines"
-MANY = 1000  # poses from which on programs are used
+MANY = 1000  # poses from which programs are used
 
 
 def repeated(q: np.ndarray) -> np.ndarray:
-    """The same configurations over and over, as many as programs are used for."""
+    """The same configurations repeated, as many as programs are used for."""
     return np.tile(q, (-(-MANY // len(q)), 1))
 
 

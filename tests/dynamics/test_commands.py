@@ -44,7 +44,7 @@ def test_a_level_payload_is_borne_by_three_legs_alike() -> None:
 
 
 def test_statics_of_another_robot_at_a_named_configuration() -> None:
-    """Each of six struts pushes its share of the platform's weight up."""
+    """Each of six struts carries its share of the platform's weight."""
     result = _answer("statics", "--robot", "hexapod", "--configuration", "home")
     assert len(result["force_N"]) == 6
     np.testing.assert_allclose(result["force_N"], result["force_N"][0], rtol=1e-9)
@@ -99,7 +99,7 @@ def test_modes_of_another_robot_and_as_a_table() -> None:
 
 
 def test_a_free_motion_is_listed_and_has_no_frequency(tmp_path: Path) -> None:
-    """A sprung cart with a free one on it."""
+    """A cart on a spring with a free one on it."""
     inertia = '<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     joint = (
         '<joint name="{0}" type="prismatic"><parent link="{1}"/><child link="{2}"/><axis xyz="1 0 0"/>'

@@ -19,7 +19,7 @@ from pm3dof_pin.kinematics.robot import Robot
 
 mujoco = pytest.importorskip("mujoco")
 
-SOFTENING = 1e-3  # of the springs, so that a step of time resolves every mode
+SOFTENING = 1e-3  # of the springs, so that a time step resolves every mode
 STEP = 4e-5
 PERIODS = 6
 AMPLITUDE = 1e-5  # of the joint that moves most [m, rad]
@@ -110,7 +110,7 @@ def simulation(elastic: ElasticModel) -> Any:
 
 
 def _deflections(simulation: Any, elastic: ElasticModel, modes: Modes, mode: int) -> np.ndarray:
-    """Let go with the velocities of one mode; return the deflections of all joints at every step, shape=(steps, nv)."""
+    """Release with the velocities of a mode; return the deflections of all joints per step, shape=(steps, nv)."""
     where, frequency, shape = modes.configuration, modes.frequencies[mode], modes.shapes[:, mode]
     model = elastic.mechanism.model
     assert model.nq == model.nv

@@ -137,7 +137,7 @@ def test_the_power_of_the_actuators_is_the_rate_of_the_energy(mechanism: Robot, 
 
 
 def test_a_round_link_keeps_its_spin_about_its_own_axis(spatial_crank: Any) -> None:
-    """Nothing turns a bar of revolution about its axis, so the acceleration about it vanishes (Euler)."""
+    """No moment acts on a bar of revolution about its axis, so the acceleration about it vanishes (Euler)."""
     configuration, mechanism = spatial_crank.configuration, spatial_crank.mechanism
     result = inverse_dynamics(configuration, [9.0], [-25.0])
     shortest = loop_motion(configuration, [9.0], [-25.0])
@@ -188,7 +188,7 @@ def test_arguments_of_a_wrong_shape_are_refused(tilted: Configuration) -> None:
 
 
 def test_acceleration_of_two_wrists_that_hold_one_body() -> None:
-    """Three turns each about other axes in turn, closed by a whole frame: second differences of the joints."""
+    """Three rotations each about different axes, closed by a whole frame: second differences of the joints."""
     model = pin.Model()
     for wrist, turns in {"a": "XYZ", "b": "ZXY"}.items():
         parent = 0
@@ -210,7 +210,7 @@ def test_acceleration_of_two_wrists_that_hold_one_body() -> None:
 
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod", "linear_delta"])
 def test_the_mass_that_drives_feel_by_differences_of_poses(name: str) -> None:
-    """Kinetic energy of the whole tree at the joint rates that the drives' travels lead to."""
+    """Kinetic energy of the whole tree at the joint rates due to the drives' travels."""
     robot = Robot.load(name)
     scales = np.array([command.scale for command in robot.command_coordinates])
     home, count, step = robot.home.commands, len(scales), 1e-5

@@ -62,7 +62,7 @@ def test_two_carts_in_a_row() -> None:
     half, product = 0.5 * ((k1 + k2) / m1 + k2 / m2), k1 * k2 / (m1 * m2)
     squares = np.array([half - np.sqrt(half**2 - product), half + np.sqrt(half**2 - product)])
     np.testing.assert_allclose(modes.frequencies, np.sqrt(squares) / (2.0 * np.pi), rtol=1e-12)
-    # relative coordinates: the second cart's is its place on the first one
+    # relative coordinates: the second cart's is its position on the first
     ratios = k2 / (k2 - m2 * squares)
     np.testing.assert_allclose(modes.shapes[1] / modes.shapes[0], ratios - 1.0, rtol=1e-9)
     np.testing.assert_allclose(modes.twists[0], modes.shapes.sum(axis=0), rtol=1e-12)
@@ -111,7 +111,7 @@ def test_a_cantilever_with_a_body_at_its_tip_vibrates_as_structural_analysis_say
     wrist = model.addJoint(base, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.0, 0.0, length])), "tip_joint")
     model.appendBodyToJoint(wrist, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
     model.addFrame(pin.Frame("tip", wrist, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    mechanism = Robot(model, tool_frame="tip")  # both joints driven, and so locked
+    mechanism = Robot(model, tool_frame="tip")  # both joints are driven, hence locked
     beam = CantileverSpring("beam", "tip_joint", (0.0, 0.0, 1.0), ei, gj, length, ea)
     modes = natural_modes(ElasticModel(mechanism, [beam]), [0.0, 0.0])
     bending = ei * np.array([[12.0 / length**3, -6.0 / length**2], [-6.0 / length**2, 4.0 / length]])
@@ -142,7 +142,7 @@ def _with_simple_inertias(mechanism: Robot) -> Robot:
 
 
 def _tripod_frequencies(tripod: Tripod, pose: np.ndarray) -> np.ndarray:
-    """Frequencies in nine coordinates: the platform's twist at O_e, and the give of the three actuators.
+    """Frequencies in nine coordinates: the platform's twist at O_e, and the deflections of the three actuators.
 
     The strain energy is that of theory, section 4.1, before the actuators are condensed; a link is a rod whose lower
     end rides on its slider and whose upper end, beyond its spring, is E_i.

@@ -100,7 +100,7 @@ def test_every_leg_and_the_platform_are_in_equilibrium_under_the_closure_forces(
             ]
         )
         links = link_vectors(tripod, pose)
-        # a link turns freely about its universal joint, which holds no moment but the one about the normal of its axes
+        # a link turns freely about its universal joint, which only holds the moment about the normal of its axes
         moments = np.cross(links, -on_platform) + np.cross(0.5 * links, p.link_mass * GRAVITY)
         normals = [
             np.cross(
@@ -160,7 +160,7 @@ def test_a_planar_linkage_is_held_by_the_slope_of_its_potential_energy_and_its_r
     assert result.actuator_forces[0] == pytest.approx(four_bar.potential_slope(crank), abs=1e-12)
     assert result.actuator_forces_unique
     assert not result.closure_forces_unique
-    # the shortest: forces that do no work on any motion of the tree are left out
+    # the least: without forces that do no work on any motion of the tree
     null = np.linalg.svd(configuration.constraint_jacobian.T)[2][-3 if closure == "6d" else -1 :]
     assert np.abs(null @ result.closure_forces).max() < 1e-12
 
@@ -222,7 +222,7 @@ def test_a_link_that_may_spin_about_its_own_axis_is_held(spatial_crank: Any) -> 
 
 
 def test_a_link_that_gravity_spins_does_not_withhold_the_forces(spatial_crank: Any) -> None:
-    """With its centre of mass off its axis the link would turn; crank and slider are still held."""
+    """With its centre of mass off its axis the link would turn, but crank and slider are held."""
     mechanism, model = spatial_crank.mechanism, spatial_crank.mechanism.model.copy()
     link = model.getJointId("ball_joint")
     bar = model.inertias[link]

@@ -41,7 +41,7 @@ def tripod_positions(tripod: Tripod, mechanism: Robot) -> TripodPositions:
 def rigid_tree() -> RigidTree:
     """Build a mechanism of bodies on frames: (name, parent frame, placement of the joint in it, joint model or None).
 
-    Every entry becomes a frame of its name: the body after the joint or, without a joint, a place on its parent.
+    Each entry becomes a frame of its name: the body after the joint or, without a joint, a place on its parent.
     """
 
     def build(entries: Sequence[tuple[str, str, pin.SE3, pin.JointModel | None]], **keywords: object) -> Robot:

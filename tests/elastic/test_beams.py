@@ -1,6 +1,6 @@
-"""Mechanisms of beams against a frame of beams: an assembler of matrix structural analysis, written here.
+"""Mechanisms of beams against matrix structural analysis of the same frame, implemented here.
 
-The frame's elements are the usual Euler-Bernoulli beams with 12 displacements; nothing of the package is used in it.
+Its elements are the usual Euler-Bernoulli beams with 12 displacements, independent of the package.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def element(length: float) -> np.ndarray:
 
 @dataclass
 class Frame:
-    """Beams between nodes. A node has six displacements; a hinge gives one of its beams a rotation of its own."""
+    """Beams between nodes. A node has six displacements; a hinge gives one of its beams a separate rotation."""
 
     nodes: list[np.ndarray] = field(default_factory=list)
     entries: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
@@ -75,7 +75,7 @@ class Frame:
         return np.arange(self.count - 6, self.count)
 
     def hinged(self, numbers: np.ndarray, axis: int) -> np.ndarray:
-        """Numbers of a node's displacements with a rotation about a world axis of its own."""
+        """Numbers of a node's displacements with a separate rotation about a world axis."""
         released = numbers.copy()
         released[3 + axis] = self.count
         self.count += 1
@@ -109,7 +109,7 @@ def tip_spring(name: str, at: str, length: float) -> BeamSpring:
 
 
 def along(roll: float, pitch: float, yaw: float, length: float) -> tuple[pin.SE3, float]:
-    """A beam that starts where another ends, turned against it."""
+    """A beam that starts at the end of another, rotated relative to it."""
     return pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, yaw), np.zeros(3)), length
 
 
@@ -117,7 +117,7 @@ SPATIAL = [along(0.0, 0.0, 0.0, 0.5), along(0.4, 1.2, -0.3, 0.7), along(-1.3, 0.
 
 
 def chain(beams: list[tuple[pin.SE3, float]]) -> tuple[list[tuple[str, str, pin.SE3, None]], list[Spring], Frame]:
-    """Beams one after the other: frames of a tree on the ground, springs at their ends, and the same as a frame."""
+    """A chain of beams: frames of a tree on the ground, springs at their ends, and the same as a frame."""
     entries: list[tuple[str, str, pin.SE3, None]] = []
     springs: list[Spring] = []
     frame = Frame()
@@ -239,7 +239,7 @@ def portal(
 def test_a_portal_closed_by_a_weld(
     rigid_tree: RigidTree, feet: tuple[float, float], hinge: int | None, motor: float | None
 ) -> None:
-    """Statically indeterminate six times, less one for each hinge."""
+    """Six times statically indeterminate, less one for each hinge."""
     model, expected = portal(rigid_tree, feet, hinge, motor)
     q = np.zeros(model.rigid.model.nq)
     is_compiled = (motor is None) == (feet[0] == feet[1])  # each kind of portal compiles programs of its own
@@ -255,8 +255,8 @@ def test_a_portal_closed_by_a_weld(
 def test_a_four_bar_of_beams_overconstrained_in_space(rigid_tree: RigidTree, crank: float) -> None:
     """Three beams on four parallel hinges about z, the last one closed by a weld; a motor's spring at the first.
 
-    As a planar linkage it is just constrained, in space three times too much. The beams lie in the plane, with their
-    bending in and out of it; the tool is at the coupler's far end.
+    As a planar linkage it is exactly constrained, in space it has three redundant constraints. The beams lie in the
+    plane, with their bending in and out of it; the tool is at the coupler's far end.
     """
     ground, lengths, motor = 0.5, (0.3, 0.6, 0.4), 3e3
     tree, springs = _four_bar(rigid_tree, ground, lengths, motor)

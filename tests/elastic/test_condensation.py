@@ -73,7 +73,7 @@ def test_one_pose_is_the_closed_form(
 
 
 class TripodEnergy:
-    """Energy of the nonlinear tripod with its platform held, the springs minimised: written out, without Jacobians."""
+    """Explicit energy of the nonlinear tripod with held platform, minimised over the springs, without Jacobians."""
 
     def __init__(self, tripod: Tripod, pose: np.ndarray) -> None:
         p = tripod.parameters
@@ -123,7 +123,7 @@ class TripodEnergy:
         for i in range(6):
             for j in range(i + 1):
                 a, b = steps[i] * np.eye(6)[i], steps[j] * np.eye(6)[j]
-                # where the two steps cancel there is no energy
+                # the energy vanishes where the two steps cancel
                 signs = [(s, t) for s in (1, -1) for t in (1, -1) if i != j or s == t]
                 corners = [self.minimum(s * a + t * b) * s * t for s, t in signs]
                 hessian[i, j] = hessian[j, i] = sum(corners) / (4.0 * steps[i] * steps[j])
@@ -137,7 +137,7 @@ def test_both_are_the_second_derivative_of_the_minimised_energy(
 ) -> None:
     energy = TripodEnergy(tripod, POSE)
     steps = np.array([2e-5, 2e-5, 1e-6, 2e-5, 2e-5, 2e-4])
-    # two step sizes, and what is of second order in them taken out
+    # two step sizes, to eliminate the second-order error
     expected = (4.0 * energy.hessian(steps) - energy.hessian(2.0 * steps)) / 3.0
     (q,) = tripod_positions(POSE[None])
     assert_same(cartesian_compliance(elastic, q).stiffness, expected, 1e-8)
@@ -148,7 +148,7 @@ def test_both_are_the_second_derivative_of_the_minimised_energy(
 
 
 def full_system(model: ElasticModel, q: np.ndarray, closure_compliance: np.ndarray | None = None) -> np.ndarray:
-    """Solve [K G^T; G -C_c] for unit wrenches at the tool, as it stands."""
+    """Solve [K G^T; G -C_c] directly for unit wrenches at the tool."""
     where = model.configuration(q)
     stiffness, closures, jacobian = model.joint_stiffness(where), where.constraint_jacobian, where.tool_jacobian
     free = np.setdiff1d(np.arange(len(stiffness)), model.locked_indices)
@@ -251,7 +251,7 @@ def test_joints_of_an_arm_without_a_spring_are_locked(arm: Robot) -> None:
 
 
 def pendulum(rigid_tree: Callable[..., Robot]) -> Robot:
-    """A boom on a driven hinge about z, at its end a passive hinge about y with an arm that carries the tool."""
+    """A boom on a driven joint about z, with a passive joint about y at its end and an arm that carries the tool."""
     return rigid_tree(
         [
             ("boom", "universe", IDENTITY, pin.JointModelRZ()),
@@ -290,7 +290,7 @@ def test_a_rigid_direction_is_named(rigid_tree: Callable[..., Robot]) -> None:
 
 
 def test_free_and_rigid_at_once(rigid_tree: Callable[..., Robot]) -> None:
-    """A passive slide with a spring across it, next to a motor: neither matrix exists, and both say so."""
+    """A passive prismatic joint with a spring across it, next to a motor: neither matrix exists, as both say."""
     tree = rigid_tree(
         [
             ("motor", "universe", IDENTITY, pin.JointModelRZ()),

@@ -34,7 +34,7 @@ def cubic_hexapod(height: float, tool: float) -> ElasticModel:
     above = pin.SE3(np.eye(3), np.array([0.0, 0.0, tool]))
     platform = model.addJoint(0, pin.JointModelFreeFlyer(), above, "platform_joint")
     model.addFrame(pin.Frame("tool", platform, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    for leg in range(6):  # round the cube, up and down in turn
+    for leg in range(6):  # around the cube, alternately up and down
         ends = [leg, leg + 1] if leg % 2 == 0 else [leg + 1, leg]
         foot, head = (
             np.array([radius * np.cos(k * turn), radius * np.sin(k * turn), z])
@@ -54,7 +54,7 @@ def cubic_hexapod(height: float, tool: float) -> ElasticModel:
 
 
 def closed_form(height: float, tool: float) -> NDArray[np.float64]:
-    """2 of each translation, 3/2, 3/2 and 6 H_c^2 of the rotations at the centre, seen from the tool above it."""
+    """2 for each translation, 3/2, 3/2 and 6 H_c^2 for the rotations at the centre, moved to the tool above it."""
     turning = 1.5 * height**2 + 2.0 * tool**2
     K = np.diag([2.0, 2.0, 2.0, turning, turning, 6.0 * height**2])
     K[0, 4] = K[4, 0] = -2.0 * tool

@@ -46,7 +46,7 @@ def test_one_spring_is_a_column(rigid_tree: RigidTree) -> None:
     elastic = EI / LENGTH**3 * np.array([[12.0, -6.0 * LENGTH], [-6.0 * LENGTH, 4.0 * LENGTH**2]])
     (expected, _) = sorted(np.linalg.eigvals(np.linalg.solve(consistent, elastic)))
     factor = buckling_factor(column(rigid_tree, 1))
-    assert factor == pytest.approx(expected, rel=1e-4)  # it is a little shorter when it buckles
+    assert factor == pytest.approx(expected, rel=1e-4)  # it is slightly shorter when it buckles
     assert factor == pytest.approx(EULER, rel=0.01)
 
 
@@ -66,7 +66,7 @@ def test_elements_change_nothing_without_loads(rigid_tree: RigidTree, axial_stif
 
 
 def test_a_beam_column_is_softer_across(rigid_tree: RigidTree) -> None:
-    """Tip deflection of a cantilever under a small force across and a load P along it: (tan(kL) / k - L) / P."""
+    """Tip deflection of a cantilever under a small transverse force and an axial load P: (tan(kL) / k - L) / P."""
     (end,) = load_deflection(
         column(rigid_tree, 2),
         [],
@@ -81,7 +81,7 @@ def test_a_beam_column_is_softer_across(rigid_tree: RigidTree) -> None:
 
 @pytest.mark.parametrize("length", [0.4, 2.5])
 def test_derivatives_of_the_bow(length: float) -> None:
-    """Against differences of the energy written out, with the integral of the slope's square done by quadrature."""
+    """Against differences of the explicit energy, with the integral of the squared slope by quadrature."""
     bow = Bow(2, np.array([0, 4, 1, 3]), 70.0, None)
     points, weights = np.polynomial.legendre.leggauss(4)
     points, weights = 0.5 * (points + 1.0), 0.5 * weights
@@ -144,7 +144,7 @@ def test_sway_of_a_portal(tmp_path: Path, beam: float | None) -> None:
 
 
 def test_the_columns_of_a_portal_buckle(tmp_path: Path) -> None:
-    """Out of its plane nothing holds them but their feet: each is a column by itself, pi^2 E I / 4 h^2."""
+    """Out of its plane only their feet hold them: each is a separate column, pi^2 E I / 4 h^2."""
     model = ElasticModel.load(portal(tmp_path, 30.0))
     both = Loads({name: [0.0, 0.0, -1.0, 0.0, 0.0, 0.0] for name in ("left_top", "right_top")})
     search = search_buckling(model, [], both)

@@ -86,7 +86,7 @@ def test_a_planar_3_rpr_has_gosselins_stiffness() -> None:
 
 
 def test_declared_coordinates_give_their_names_scales_and_order() -> None:
-    """phi in the other sense and in front, x from elsewhere."""
+    """phi negated and first, x with an offset."""
     coordinates = (
         Coordinate("phi", "rad", joint="turn_joint", scale=-1.0),
         Coordinate("x", "m", joint="x_joint", offset=3.0),
@@ -134,15 +134,15 @@ def test_a_map_of_a_machine_that_is_singular_at_home(is_declared: bool) -> None:
         expected = _gosselin(*pose, 0.5 * corners, 0.12 * corners)
         np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
     at_home = _gosselin(0.0, 0.0, 0.0, 0.5 * corners, 0.12 * corners)
-    # the motions are independent there, and one of them meets no stiffness
+    # the motions are independent there, and one of them has no stiffness
     np.testing.assert_allclose(found[-1], at_home, rtol=0, atol=1e-11 * np.abs(at_home).max())
 
 
 def test_a_spherical_wrist_has_the_stiffness_of_its_rotations() -> None:
     """An Agile Eye (Gosselin and Angeles, 1989): drive i turns at (w_i x v_i) . omega / (w_i x v_i) . u_i.
 
-    u_i are the axes of the base, v_i axes of the platform, and w_i is at right angles to both. The drives' springs are
-    1000 N m/rad; the tool is a camera beside the centre, whose translation follows the rotation.
+    u_i are axes of the base, v_i axes of the platform, and w_i is orthogonal to both. The drives' springs are
+    1000 N m/rad; the tool is a camera off the centre, whose translation follows the rotation.
     """
     mapped = MappedRobot(ElasticModel.load(MACHINES / "agile_eye"))
     poses = mapped.robot.forward(np.random.default_rng(5).uniform(-0.4, 0.4, (20, 3)))

@@ -33,7 +33,7 @@ def test_compliance_inverts_stiffness(matrices: np.ndarray) -> None:
 
 
 def test_probe_at_the_centre_of_the_section(tripod: Tripod) -> None:
-    """The leg springs in series, by hand: three links of one inclination, k = 1 / (c^2 / k_a + 1 / k_t), 3 k n_z^2."""
+    """The leg springs in series: three links of equal inclination, k = 1 / (c^2 / k_a + 1 / k_t), 3 k n_z^2."""
     u = np.linspace(0.155, 0.325, 200_001)
     h = 0.37425 - u * np.cos(np.radians(50.0)) - 0.075
     heights = u * np.sin(np.radians(50.0)) + np.sqrt(0.353**2 - h**2) - 0.013

@@ -1,4 +1,4 @@
-"""Load paths that end where they say: every direction on every robot, limit points and branches by other mechanics."""
+"""Ends of load paths: every direction on every robot, limit points and branches by independent mechanics."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def pulled(model: ElasticModel, *force: float) -> Loads:
     return Loads({str(model.rigid.tool_frame): [*force, 0.0, 0.0, 0.0]})
 
 
-# --- the hexapod, its platform on six springs written out
+# --- the hexapod, as a platform on six explicit springs
 
 
 class SixStruts:
-    """Forces on the platform of the hexapod, and how they change, in plain NumPy."""
+    """Forces on the platform of the hexapod, and their derivatives, in plain NumPy."""
 
     def __init__(self, model: ElasticModel) -> None:
         home = model.rigid.home
@@ -49,7 +49,7 @@ class SixStruts:
         self.stiffness = 2.0e7
 
     def forces(self, pose: np.ndarray) -> np.ndarray:
-        """Force and moment that the struts put up against a displacement and a rotation vector, shape=(6,)."""
+        """Restoring force and moment of the struts for a displacement and a rotation vector, shape=(6,)."""
         arms = (Rotation.from_rotvec(pose[3:]) * self.turn).apply(self.points)
         legs = self.origin + pose[:3] + arms - self.feet
         lengths = np.linalg.norm(legs, axis=1)
@@ -57,7 +57,7 @@ class SixStruts:
         return np.concatenate([pulls.sum(axis=0), np.cross(arms, pulls).sum(axis=0)])
 
     def greatest_load(self, force: np.ndarray, start: np.ndarray, factor: float) -> float:
-        """The greatest load along the equilibria at given tilts about y, beginning with one."""
+        """The greatest load along the equilibria at given tilts about y, starting from one."""
         scale = np.array([1e-3, 1e-3, 1e-2, 1e-2, 1e-2, 1e5])
         guess = np.append(np.delete(start, 4), factor) / scale
 
@@ -119,7 +119,7 @@ def test_a_leg_does_not_bend_two_radians(elastic: ElasticModel) -> None:
 def test_the_nearly_symmetric_tripod_bends_away_and_stays_stable(
     elastic: ElasticModel, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Straight down it buckles; a hundredth of sideways load leads round the bifurcation onto the stable branch."""
+    """Straight down it buckles; a hundredth of sideways load leads past the bifurcation onto the stable branch."""
     home = elastic.rigid.home
     buckling = search_buckling(elastic, home, pulled(elastic, 0.0, 0.0, -1.0)).load
     assert buckling is not None
@@ -162,7 +162,7 @@ def test_turns_at_a_continuous_joint_are_counted() -> None:
 def test_beyond_a_limit_point_the_hexapod_jumps_to_a_stable_equilibrium(
     sideways: float, hexapod: ElasticModel, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Newton's method from rest finds an unstable one there; checked on six springs written out."""
+    """Newton's method from rest finds an unstable one there; checked on six explicit springs."""
     force = np.array([sideways, 0.0, -689e3, 0.0, 0.0, 0.0])
     found = loaded_equilibrium(hexapod, hexapod.rigid.home, pulled(hexapod, *force[:3]))
     assert "the mechanism jumps to a stable equilibrium elsewhere" in caplog.text

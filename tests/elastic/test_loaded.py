@@ -47,7 +47,7 @@ def twist_between(before: Configuration, after: Configuration) -> np.ndarray:
 
 
 def differences(model: ElasticModel, q: np.ndarray, loads: Loads, steps: np.ndarray) -> np.ndarray:
-    """Compliance at the tool: equilibria with a little more and a little less of each load, at two step sizes."""
+    """Compliance at the tool by central differences of equilibria in each load, at two step sizes."""
     wrench = np.asarray(loads.wrenches.get("O_e", np.zeros(6)), dtype=float)
     start = loaded_equilibrium(model, q, loads).configuration
 
@@ -139,7 +139,7 @@ class LoadedTripod:
         self.scale = np.array([1e-4] * 3 + [1e-4] * 2 + [1e-2] * 3 + [1e-2] * 2 + [1e-4])
 
     def platform(self, unknowns: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """Return where the platform is at n sets of unknowns, shape=(n, 11)."""
+        """Return the platform's placements for n sets of unknowns, shape=(n, 11)."""
         x = (self.scale * unknowns).T
         bent = Rotation.from_euler("XYZ", x[5:8].T)
         turned = Rotation.from_euler("XYZ", np.stack([self.pose[0] + x[8], self.pose[1] + x[9], 0.0 * x[9]], axis=-1))
@@ -183,7 +183,7 @@ class LoadedTripod:
 def test_equilibrium_is_the_minimum_of_the_potential(
     tripod: Tripod, elastic: ElasticModel, tripod_positions: Positions
 ) -> None:
-    """Independent of the package's Jacobians: the potential written out, minimised by quasi-Newton steps."""
+    """Independent of the package's Jacobians: the explicit potential, minimised by quasi-Newton steps."""
     (q,) = tripod_positions(POSE[None])
     expected = LoadedTripod(tripod, POSE, FORCE[:3]).displacement()
     equilibrium = loaded_equilibrium(elastic, q, Loads({"O_e": FORCE}))
@@ -206,7 +206,7 @@ def test_a_stable_equilibrium_is_found_at_204_kilonewtons(tripod: Tripod, elasti
 
 
 def test_forces_in_the_closures_balance_the_platform(elastic: ElasticModel, tripod_positions: Positions) -> None:
-    """Links pull along themselves only, with the force of their springs."""
+    """Links carry axial forces only, those of their springs."""
     (q,) = tripod_positions(POSE[None])
     equilibrium = loaded_equilibrium(elastic, q, Loads({"O_e": FORCE}))
     where = equilibrium.configuration
@@ -253,7 +253,7 @@ def test_a_rigid_direction_under_load_is_named(rigid_tree: RigidTree) -> None:
 
 
 def truss(rigid_tree: RigidTree, half: float, height: float, stiffness: float) -> ElasticModel:
-    """Two bars that lean against each other; the apex slides up and down between them (von Mises)."""
+    """The von Mises truss: two inclined bars with an apex that slides up and down."""
     length, slope = np.hypot(half, height), np.arctan2(height, half)
     tree = rigid_tree(
         [
@@ -275,7 +275,7 @@ def truss(rigid_tree: RigidTree, half: float, height: float, stiffness: float) -
 
 
 def test_a_shallow_truss_snaps_through_at_its_limit_load(rigid_tree: RigidTree) -> None:
-    """P = k (l0 - l) h / l for one of the two bars; its greatest value is where l^3 = l0 b^2."""
+    """P = k (l0 - l) h / l for one of the two bars, with its maximum at l^3 = l0 b^2."""
     half, height, stiffness = 1.0, 0.2, 1e6
     model = truss(rigid_tree, half, height, stiffness)
     rest = np.hypot(half, height)
@@ -308,7 +308,7 @@ def test_the_path_goes_through_the_limit_point_and_out_on_the_other_side(rigid_t
     assert heights.min() < -height
     assert factors.max() > 0.0 > factors.min()
     stable = [point.stable for point in path]
-    # the tangent stiffness of the bar alone changes its sign where l^3 = l0 b^2
+    # the tangent stiffness of the bar alone changes sign at l^3 = l0 b^2
     limit = np.sqrt(np.cbrt(rest * half**2) ** 2 - half**2)
     assert stable == [abs(h) > limit for h in heights]
 
@@ -349,7 +349,7 @@ def column(rigid_tree: RigidTree, count: int) -> tuple[ElasticModel, float]:
 
 
 def test_a_column_buckles_at_the_load_of_euler(rigid_tree: RigidTree) -> None:
-    """A cantilever column cut into beams, each of which gets shorter as it bends; see also test_flexures."""
+    """A cantilever column divided into beams, each of which shortens as it bends; see also test_flexures."""
     for count in (4, 8):
         model, exact = column(rigid_tree, count)
         found = search_buckling(model, [], Loads({model.rigid.tool_frame: [0, 0, -1.0, 0, 0, 0]})).load
@@ -410,7 +410,7 @@ def test_a_mechanism_that_cannot_stand_upright(rigid_tree: RigidTree, caplog: py
     assert abs(angle) > 1.0
     assert leaning.stable
     assert "bifurcation at a factor of 0.509684, branch followed: a stable one" in caplog.text  # 5 / 9.81
-    # more weight bends it further, without buckling
+    # more weight deflects it further, without buckling
     search = search_buckling(model, [0.0], Loads({"top": [0, 0, -1.0, 0, 0, 0]}), permanent=heavy, largest_factor=50.0)
     assert search.load is None
     assert search.largest_factor == 50.0
@@ -433,7 +433,7 @@ def test_loads_that_make_no_sense(elastic: ElasticModel) -> None:
 
 
 def test_a_load_that_nothing_bears(rigid_tree: RigidTree) -> None:
-    """A passive slide pushed along: it would run away."""
+    """A passive prismatic joint under a force: it would run away."""
     tree = rigid_tree(
         [("motor", "universe", IDENTITY, pin.JointModelRZ()), ("slide", "motor", IDENTITY, pin.JointModelPX())],
         actuated_joints=["motor_joint"],

@@ -15,7 +15,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 
 
 def assert_close(matrices: np.ndarray, expected: np.ndarray, contributions: np.ndarray) -> None:
-    """Entries compared on the scale of the whole compliance."""
+    """Entries are compared relative to the whole compliance."""
     scale = np.sqrt(np.einsum("nsii->ni", contributions))
     difference = (matrices - expected) / scale[:, :, None] / scale[:, None, :]
     assert np.abs(difference).max() < 1e-7
@@ -72,7 +72,7 @@ def test_passive_leg_by_scaling_both_of_its_constants(
 
 
 def test_level_platform_pushed_down(tripod: Tripod) -> None:
-    """By symmetry every leg takes a third, and in a leg actuator : link = c^2 / k_a : 1 / k_t."""
+    """By symmetry each leg has a third, and within a leg actuator : link = c^2 / k_a : 1 / k_t."""
     parts = shares(spring_contributions(tripod, tripod.home), [0.0, 0.0, -100.0, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(parts[:3], parts[0], rtol=1e-9)
     h = (0.37425 - 0.240272 * np.cos(np.radians(50.0)) - 0.075) / 0.353

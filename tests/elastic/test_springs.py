@@ -123,7 +123,7 @@ def test_two_springs_with_one_name() -> None:
 
 
 def test_a_matrix_with_other_units_on_its_diagonal_is_judged_by_its_numbers_not_its_units() -> None:
-    """A Euler-Bernoulli tip in millimetres of thickness: 1e9 N/m beside 1e1 N m/rad, and still definite."""
+    """An Euler-Bernoulli tip of millimetre thickness: 1e9 N/m next to 1e1 N m/rad, and still definite."""
     matrix = np.diag([1e12, 1.0, 1.0])
     (spring,) = read_springs([CLOSURE | {"matrix": matrix.tolist()}], FILE)
     assert isinstance(spring, ClosureSpring)
@@ -184,7 +184,7 @@ def test_springs_made_in_code_are_checked_too() -> None:
 
 
 def test_the_description_of_the_tripod(elastic: ElasticModel) -> None:
-    """Three actuators, three links and the passive leg, with the numbers that the chapter prints."""
+    """Three actuators, three links and the passive leg, with the chapter's printed numbers."""
     springs = {spring.name: spring for spring in elastic.springs}
     assert springs["actuator2"] == JointSpring("actuator2", "slider2_joint", 9.5950e7, "N/m")
     assert springs["link3"] == AxialSpring("link3", "link3_tip", (0.0, 0.0, 1.0), 1.5177e10)

@@ -1,4 +1,4 @@
-"""The tree with virtual joints: the rigid mechanism at zero, and the right bodies move when a spring deflects."""
+"""The tree with virtual joints: rigid at zero, and the right bodies move when a spring deflects."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_the_rigid_mechanism_is_left_as_it_is(mechanism: Robot) -> None:
 
 @pytest.mark.parametrize("at", ["link2_tip", "universal2_second_joint", "D2"])
 def test_what_hangs_on_the_place_moves_along_the_axes_of_the_place(mechanism: Robot, at: str) -> None:
-    """Every motion of the six, once for a place on a link, a joint that moves and a frame with a joint behind it."""
+    """All six motions, for a place on a link, a movable joint and a frame followed by a joint."""
     model = ElasticModel(mechanism, [BeamSpring("beam", at, SOFT)])
     q = _random(model, 3)
     moving = {"link2_tip": ["link2_tip"], "universal2_second_joint": ["link2", "F2", "link2_tip"], "D2": ["D2"]}[at]
@@ -128,7 +128,7 @@ def test_what_hangs_on_the_place_moves_along_the_axes_of_the_place(mechanism: Ro
 
 
 def _place(mechanism: Robot, q: np.ndarray, at: str) -> pin.SE3:
-    """Where the virtual joints belong: a frame, or the place of a joint on the previous body."""
+    """The place of the virtual joints: a frame, or the place of a joint on the previous body."""
     model, data = mechanism.model, mechanism.model.createData()
     if not model.existJointName(at):
         return mechanism.configuration(q).frame_placement(at)
@@ -174,7 +174,7 @@ def test_springs_at_one_place_stand_in_series(rigid_tree: Callable[..., Robot]) 
 
 
 def test_nested_cuts_of_one_body(rigid_tree: Callable[..., Robot]) -> None:
-    """A body with three places one after the other: a spring at the second moves the third, but not the first."""
+    """A body with three successive places: a spring at the second moves the third, but not the first."""
     tree = rigid_tree(
         [
             ("arm", "universe", AT, pin.JointModelRZ()),

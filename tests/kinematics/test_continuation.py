@@ -146,7 +146,7 @@ def test_a_walk_to_a_singular_pose_stays_in_the_mode_of_home_or_is_flagged():
 def five_bar_by_triangles(pens: np.ndarray) -> np.ndarray:
     """Return the motors' travels from home, elbows outward, at pens, shape=(n, 2); NaN where an arm does not reach.
 
-    The arms, of 0.25 m and 0.35 m, stand 0.1 m left and right of the origin.
+    The arms, of 0.25 m and 0.35 m, are 0.1 m left and right of the origin.
     """
     travels = []
     for side in (-1.0, 1.0):
@@ -174,7 +174,7 @@ def test_the_reachable_set_up_to_singular_reach_is_that_of_homes_assembly_mode()
 
 
 def test_damped_steps_find_what_the_careful_solver_finds_from_far():
-    """From home in one go to poses all over the five-bar's plane, most of them out of reach."""
+    """Directly from home to poses all over the five-bar's plane, most of them out of reach."""
     robot, solver = load("five_bar"), continuation("five_bar", "coordinates")
     values = np.random.default_rng(1).uniform([-0.6, 0.1], [0.6, 1.0], (150, 2))
     ends, moving = solver._damped_ends(np.tile(robot.home.q, (150, 1)), values)
@@ -187,7 +187,7 @@ def test_damped_steps_find_what_the_careful_solver_finds_from_far():
 
 
 def test_a_variant_is_solved_by_the_programs_of_its_prototype():
-    """Small errors in every joint's place: no tracing of its own, and the poses that Pinocchio finds."""
+    """Small errors in every joint placement: no separate tracing, and the same poses as Pinocchio."""
     robot = load("hexapod")
     generator = np.random.default_rng(2)
     for _ in range(2):
@@ -327,4 +327,4 @@ def test_a_serial_arm_reaches_wherever_its_joints_lead(engine, count):
         wanted.append(data.oMf[model.getFrameId("tool0")].homogeneous)
     found = robot.reach(wanted, engine=engine)
     np.testing.assert_allclose(found.transforms, wanted, atol=1e-9)
-    assert found.within_limits.all()  # every joint may make a whole turn
+    assert found.within_limits.all()  # every joint may make a full turn

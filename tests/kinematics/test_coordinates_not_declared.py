@@ -29,7 +29,7 @@ def test_four_drives_of_three_degrees_of_freedom_are_no_coordinates(four_rrr: Ro
 
 
 def test_motors_follow_the_platform(four_rrr: Robot) -> None:
-    """A leg of two equal links: its upper arm is half the bend away from the line to the corner."""
+    """A leg of two equal links: its upper arm deviates by half the bend from the line to the corner."""
     poses = four_rrr.solve(np.random.default_rng(3).uniform([-0.1, -0.1, -0.3], [0.1, 0.1, 0.3], (50, 3)))
     signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 
@@ -68,7 +68,7 @@ def test_a_coordinate_goes_until_a_leg_is_stretched(four_rrr: Robot, name: str) 
 
 
 def test_random_poses_are_drawn_over_coordinates(four_rrr: Robot) -> None:
-    """Four random commands correspond to no pose."""
+    """Four random commands do not correspond to a pose."""
     poses = reachable_poses(four_rrr, 50, np.random.default_rng(0))
     assert poses.within_limits.all()
     assert np.ptp(poses.coordinates, axis=0).min() > 0.1

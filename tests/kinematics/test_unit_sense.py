@@ -19,7 +19,7 @@ from pm3dof_pin.kinematics.unit_sense import other_unit
     [
         ([490.0, 510.0], "m", (0.4, 0.6), "millimetres"),
         ([0.49, 510.0], "m", (0.4, 0.6), ""),  # one of them is out of reach
-        ([40.0], "m", (0.4, 0.6), ""),  # in millimetres it would be so too
+        ([40.0], "m", (0.4, 0.6), ""),  # also in millimetres
         ([0.0, 10.0, -15.0], "rad", (-0.7, 0.7), "degrees"),
         ([3.1], "rad", (-0.1, 0.1), ""),  # within half a turn
         ([90.0], "rad", (-0.7, 0.7), ""),

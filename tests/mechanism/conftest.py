@@ -36,7 +36,7 @@ def _urdf(name: str, links: str, joints: str) -> str:
 
 
 def four_bar_urdf(crank: float, coupler: float, rocker: float, ground: float, crank_type: str = "revolute") -> str:
-    """A planar four-bar: crank and rocker pivot on the ground, at (0, 0) and (ground, 0); q = 0 lays all along x."""
+    """A planar four-bar: crank and rocker pivot on the ground, at (0, 0) and (ground, 0); q = 0 has all along x."""
     joints = (
         _REVOLUTE.format(name="crank_joint", parent="ground", child="crank", x=0, y=0).replace("revolute", crank_type)
         + _REVOLUTE.format(name="coupler_joint", parent="crank", child="coupler", x=crank, y=0)
@@ -106,7 +106,7 @@ def make_four_bar(write_robot: Callable[..., Path]) -> Callable[..., Robot]:
 
 @pytest.fixture(scope="session")
 def make_five_bar(write_robot: Callable[..., Path]) -> Callable[..., Robot]:
-    """Load a five-bar; see :func:`five_bar_urdf`. It is driven at the two pivots on the ground, or where told."""
+    """Load a five-bar; see :func:`five_bar_urdf`. It is driven at the two pivots on the ground by default."""
 
     def make(*lengths: float, driven: str = "left_joint, right_joint", coordinates: str = "x_joint, y_joint") -> Robot:
         closures = FIVE_BAR_CLOSURES.format(driven=driven, coordinates=coordinates)
@@ -117,7 +117,7 @@ def make_five_bar(write_robot: Callable[..., Path]) -> Callable[..., Robot]:
 
 @pytest.fixture(scope="session")
 def crank_rocker(make_four_bar: Callable[..., Robot]) -> Robot:
-    """Crank 0.2, coupler 0.5, rocker 0.4, ground 0.6 m: the crank turns all the way, so its joint is continuous."""
+    """Crank 0.2, coupler 0.5, rocker 0.4, ground 0.6 m: the crank can rotate fully, so its joint is continuous."""
     return make_four_bar(0.2, 0.5, 0.4, 0.6, crank_type="continuous")
 
 
@@ -140,7 +140,7 @@ class Gough:
 def gough() -> Gough:
     """A Gough platform built in code: a free-flyer and six legs of a spherical and a prismatic joint.
 
-    The strut coordinates are the leg lengths. Every leg can spin about its own axis. The geometry is that of
+    The strut coordinates are the leg lengths. Every leg can spin about its axis. The geometry is that of
     T. Dehaeze's hexapod, with the platform's frame at the heads' height.
     """
     foot_angles, head_angles = np.radians([-10, 10, 110, 130, 230, 250]), np.radians([-50, 50, 70, 170, 190, -70])

@@ -35,7 +35,7 @@ def test_constraint_jacobian_kinematics_all_over_the_workspace(
 
 
 def test_general_geometry_finds_the_closed_form(mechanism: Robot, tripod: Tripod, reachable_poses: np.ndarray) -> None:
-    """From home, with nothing but slider travels or a pose."""
+    """From home, given only slider travels or a pose."""
     for pose in reachable_poses[:50]:
         u = inverse_kinematics(tripod, pose)
         forward = mechanism.forward(u).configuration()

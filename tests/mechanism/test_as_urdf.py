@@ -36,7 +36,7 @@ def leg(tmp_path: Path) -> Robot:
 
 
 def _in_hinges(robot: Robot, q: np.ndarray, plain: Robot) -> np.ndarray:
-    """The same configuration with hinges in place of the ball."""
+    """The same configuration with revolute joints instead of the ball joint."""
     x, y, z = Rotation.from_quat(q[1:5]).as_euler("XYZ")
     values = {"turn": q[0], "ball": x, "ball_y": y, "ball_z": z, "slide": q[5]}
     return np.array([values[name] for name in plain.q_names])

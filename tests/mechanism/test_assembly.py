@@ -26,7 +26,7 @@ CRANK_ROCKER = 0.2, 0.5, 0.4, 0.6
 
 
 def rocker_angle(crank_angle: float, crank: float, coupler: float, rocker: float, ground: float) -> float:
-    """Rocker angle of the open four-bar, rocker on the left going round: two circles about crank tip and pivot meet."""
+    """Rocker angle of the open four-bar, by the intersection of two circles about crank tip and pivot."""
     tip = crank * np.array([np.cos(crank_angle), np.sin(crank_angle)])
     to_tip = tip - [ground, 0.0]
     distance = np.hypot(*to_tip)
@@ -44,7 +44,7 @@ def open_crank_rocker(crank_rocker: Robot) -> Configuration:
 def test_four_bar_has_its_closed_form(
     crank_rocker: Robot, open_crank_rocker: Configuration, crank_angle: float
 ) -> None:
-    # going there in small steps keeps the assembly mode: this linkage has two
+    # small steps keep the assembly mode, of which this linkage has two
     configuration = open_crank_rocker
     for angle in np.linspace(np.pi / 2, crank_angle, 12):
         configuration = crank_rocker.forward([angle], guess=configuration).configuration()
@@ -110,7 +110,7 @@ def test_overconstrained_loops_close_as_well(welded_four_bar: Robot) -> None:
     closed = welded_four_bar.assemble([1.4, -0.9, 0.8, 1.8], joints={"joint0": 1.4})
     assert closed.closure_residual < 1e-15
     rocker = rocker_angle(1.4, *CRANK_ROCKER)
-    # the angles of joint 0, 1 and 2 add up to the rocker's direction, seen from its tip
+    # the angles of joints 0, 1 and 2 add up to the rocker's direction from its tip
     direction = closed.q[:3].sum()
     assert np.cos(direction - rocker - np.pi) == pytest.approx(1.0, abs=1e-14)
 
@@ -127,7 +127,7 @@ def test_convergence_is_quadratic(problem: str, request: pytest.FixtureRequest) 
 
 
 def test_damping_that_is_far_too_great_is_forgotten(five_bar: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Good steps make it ten times less: from a billion times too much, twenty steps are enough."""
+    """Good steps reduce it tenfold: from a billion times too much, twenty steps suffice."""
     guess = [0.0, 0.5, 2.2, -1.3, 0.9, 1.3]
     usual = assemble(five_bar, guess)
     monkeypatch.setattr(assembly, "_FIRST_DAMPING", 1e9 * assembly._FIRST_DAMPING)
@@ -264,7 +264,7 @@ def _random_loop(rng: np.random.Generator, kind: str) -> tuple[Robot, np.ndarray
 
 
 def test_a_whole_orientation_is_found_where_its_angles_are_singular() -> None:
-    """R = Rx Ry Rz with ry a right angle: only rx + rz shows."""
+    """R = Rx Ry Rz with ry a right angle: only rx + rz is determined."""
     model = pin.Model()
     parent = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "float")
     model.addFrame(pin.Frame("tool", parent, pin.SE3.Identity(), pin.FrameType.OP_FRAME))

@@ -219,7 +219,7 @@ def test_a_pair_that_is_no_angle_is_refused(crank_rocker: Robot) -> None:
 
 
 def test_unknown_frames_are_named(five_bar: Robot) -> None:
-    """Of many frames, those that are most like the name."""
+    """Of many frames, those with the most similar names."""
     with pytest.raises(FrameNotFoundError, match=r"'left_tipp'.* it has left_tip, .* and \d+ more"):
         five_bar.home.frame_placement("left_tipp")
     with pytest.raises(FrameNotFoundError, match=r"'left_tipp'.* it has left_tip, .* and \d+ more"):

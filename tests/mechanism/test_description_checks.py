@@ -105,7 +105,7 @@ def test_an_unknown_shape_is_named_and_takes_nothing_along(
 def test_moments_of_no_body_give_no_equations_of_motion(
     write_robot: Writer, caplog: pytest.LogCaptureFixture, izz: str, possible: bool
 ) -> None:
-    # a flat plate has izz = ixx + iyy = 0.05, and more than that no body; 0.4 % above it are rounding
+    # a flat plate has izz = ixx + iyy = 0.05, the maximum of any body; 0.4 % above it is rounding
     robot = Robot.load(write_robot(ARM.replace('izz="0.04"', f'izz="{izz}"'), "tool_frame: forearm\n"))
     if possible:
         # about the elbow: izz + m r^2
@@ -196,7 +196,7 @@ def _chain(links: int) -> str:
     ],
 )
 def test_depths_are_bounded(tmp_path: Path, name: str, text: str, said: str) -> None:
-    # in a process of its own: anything unbounded ends it by a signal
+    # in a separate process: anything unbounded ends it by a signal
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     if path.suffix == ".srdf":

@@ -1,4 +1,4 @@
-"""Joints replaced by those they stand for, as in the `robot.yaml` files of example-parallel-robots."""
+"""Joints replaced by the types they stand for, as in the `robot.yaml` files of example-parallel-robots."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_an_unknown_joint_is_named(write_robot: Writer) -> None:
 
 
 def test_more_kinds_of_limits_than_bits_are_all_heeded(tmp_path: Path) -> None:
-    """Forty joints whose names differ in letters: the last one beyond its limit breaks one."""
+    """Forty joints whose names differ in letters: exceeding the limit of the last one breaks one limit group."""
     names = [first + second for first in "abcdefgh" for second in "vwxyz"]
     links = '<link name="base"/>' + "".join(_LINK.format(f"link_{name}", 1.0) for name in names)
     parents = ["base", *(f"link_{name}" for name in names)]

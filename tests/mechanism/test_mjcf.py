@@ -168,7 +168,7 @@ def test_what_pinocchio_does_not_take(tmp_path: Path, caplog: pytest.LogCaptureF
 
 @pytest.mark.parametrize("angle", ["degree", "radian"])
 def test_limits_are_mujocos(tmp_path: Path, angle: str) -> None:
-    """Pinocchio shifts ranges by `ref` and takes those of slides for degrees."""
+    """Pinocchio shifts ranges by `ref`, and reads those of slides as degrees."""
     text = f"""<mujoco><compiler angle="{angle}"/>
     <default><default class="long"><joint type="slide" range="-0.1 0.8"/></default></default>
     <worldbody><body name="a"><joint name="s" class="long" axis="1 0 0" ref="0.5"/><geom size="0.1" mass="1"/>
@@ -209,7 +209,7 @@ def test_files_that_are_included_are_read(tmp_path: Path) -> None:
 
 
 def test_included_files_include_others_as_mujoco_has_it(tmp_path: Path) -> None:
-    """Seen from the main file, or else from the one that includes; from another folder only where that is named."""
+    """Relative to the main file, or else the including one; from another folder only if that is given."""
     (tmp_path / "a" / "parts").mkdir(parents=True)
     (tmp_path / "b").mkdir()
     (tmp_path / "a" / "parts" / "world.xml").write_text(
@@ -230,7 +230,7 @@ def test_included_files_include_others_as_mujoco_has_it(tmp_path: Path) -> None:
 
 
 def test_sections_in_any_order_and_number(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Defaults said twice, and after the bodies that use them; a flag named as a number is; drives of a ball joint."""
+    """Duplicate defaults, also after the bodies that use them; a flag named like a number; drives of a ball joint."""
     robot, model = _load(
         tmp_path,
         """<mujoco><option><flag gravity="disable"/></option><default><joint range="-20 40"/></default>

@@ -1,4 +1,4 @@
-"""The chapter's machine from its URDF, against the equations of section 8.2 and the numbers of Table 8.1 put here."""
+"""The chapter's machine from its URDF, against the equations of section 8.2 and the numbers of Table 8.1."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def reachable_pose(seed: int) -> Vector:
 
 @pytest.fixture(scope="module")
 def home_height() -> float:
-    """z at theta = 0 and u = 0.240272 m: the link bridges the radial gap, and what is left of its length is height."""
+    """z at theta = 0 and u = 0.240272 m: the link bridges the radial gap, and the rest of its length is height."""
     gap = BASE_RADIUS - SLIDER_HOME * np.cos(SLOPE) - PLATFORM_RADIUS
     return float(SLIDER_HOME * np.sin(SLOPE) + np.sqrt(LINK**2 - gap**2) - HEIGHT)
 
@@ -158,7 +158,7 @@ def test_loops_close_from_guesses_far_off(mechanism: Robot, seed: int, home_heig
 
 
 def test_the_published_cross_check_pose(mechanism: Robot, home_height: float) -> None:
-    """Slider travels that MuJoCo, Drake and PyBullet give as well."""
+    """Slider travels confirmed by MuJoCo, Drake and PyBullet."""
     pose = np.array([np.radians(10.0), np.radians(-15.0), 0.5])
     configuration = mechanism.solve(pose).configuration()
     expected = [0.257110951586, 0.260246563859, 0.224483570293]

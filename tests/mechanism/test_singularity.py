@@ -64,7 +64,7 @@ def test_dead_point_of_a_four_bar(
     assert names(generic_configuration(dead)) == []
     for singularity in singularities(dead):
         assert singularity.measure < 1e-12
-        # the rocker stands still, and the ends of crank and coupler move against each other
+        # the rocker is at rest, and the ends of crank and coupler move relative to each other
         assert rate(four_bar, singularity.motions, "rocker_joint") == pytest.approx(0.0, abs=1e-12)
         crank, coupler = (rate(four_bar, singularity.motions, f"{name}_joint") for name in ("crank", "coupler"))
         assert CRANK * crank * (-1) ** folded + COUPLER * (crank + coupler) == pytest.approx(0.0, abs=1e-12)
@@ -79,7 +79,7 @@ def test_a_flat_parallelogram_gains_a_freedom(make_four_bar: Callable[..., Robot
     (singularity,) = singularities(flat)
     assert singularity.type == "constraint"
     assert singularity.measure < 1e-12
-    # what the locked crank does not hold: coupler and rocker turn, their common tip moving up
+    # with the crank locked, coupler and rocker can still turn, and their common tip moves up
     crank, coupler, rocker = (
         rate(parallelogram, singularity.motions, f"{n}_joint") for n in ("crank", "coupler", "rocker")
     )
@@ -248,7 +248,7 @@ def test_gough_platform_turned_about_its_axis_becomes_parallel(gough: Any) -> No
 
 
 def test_a_point_tool_is_the_same_on_either_body(make_five_bar: Callable[..., Robot]) -> None:
-    """A stretched left leg moves with the point at rest: serial, whichever of the two links carries the tool frame."""
+    """A straight left leg moves with the point at rest: serial, whichever of the two links carries the tool frame."""
     five_bar = make_five_bar(PROXIMAL, DISTAL, PIVOTS)
     reach = PROXIMAL + DISTAL
     stretched = five_bar_at(five_bar, np.array([-PIVOTS / 2 + reach * np.cos(1.1), reach * np.sin(1.1)]))

@@ -32,7 +32,7 @@ def test_loops_close_the_same_way(name: str, given: str) -> None:
     robot = load(name)
     coordinates = robot.coordinates if given == "coordinates" else robot.command_coordinates
     if given == "commands" and (coordinates == robot.coordinates or name == "linear_delta"):
-        return  # many commands of that one lie beyond singular poses
+        return  # many commands of this robot lie beyond singular poses
     found = compared_closing(robot, coordinates, CLOSING, seed=7)
     assert found.solved > CLOSING // 3
     assert (found.found_otherwise, found.other_mode, found.limits) == (0, 0, 0)

@@ -22,7 +22,7 @@ from pm3dof_pin.programs.program import Program
 N_INPUTS, N_PARAMETERS = 3, 2
 SPECIAL = (0.0, 1.0, -1.0, 0.5, -2.0, 3.75, 1e3, float("nan"), float("inf"), float("-inf"))
 
-# every operation that is as exact on one machine as on the other, a rounding of the last place apart
+# every operation that is equally accurate on all machines, up to rounding of the last place
 OPERATIONS = (
     lambda a, b, c: a + b,
     lambda a, b, c: a - b,
@@ -43,7 +43,7 @@ OPERATIONS = (
 
 
 def program_of(steps: list[tuple[int, int, int, int]], name: str = "random_program") -> Program:
-    """Record one random operation after the other, each on values recorded before; output all of them."""
+    """Record random operations in sequence, each on values recorded before; output all of them."""
     graph = Graph()
     values = [graph.input(f"x{k}", [0.5 + k]) for k in range(N_INPUTS)]
     values += [graph.parameter(f"p{k}", 0.25 - k) for k in range(N_PARAMETERS)]
@@ -58,7 +58,7 @@ PROGRAMS = st.lists(st.tuples(INDEX, INDEX, INDEX, INDEX), min_size=1, max_size=
 
 
 def numbers(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return inputs of n poses and parameters: ordinary ones, and some that are special."""
+    """Return inputs of n poses and parameters: ordinary ones, and some special ones."""
     rng = np.random.default_rng(seed)
     inputs = rng.normal(scale=2.0, size=(n, N_INPUTS))
     special = rng.random(inputs.shape) < 0.2
@@ -67,10 +67,10 @@ def numbers(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def allowance(program: Program, inputs: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return outputs, and how far each may be off: some of what small changes of all operations do to it.
+    """Return outputs, and the tolerance of each: a fraction of the effect of small changes of all operations.
 
-    It is infinite where NaN or infinity hang on rounding or on the range of angles, and after numbers too large or too
-    small for a fused operation to agree with two.
+    It is infinite where NaN or infinity depend on rounding or on the range of angles, and after numbers too large or
+    too small for a fused operation to agree with two.
     """
     outputs = program.evaluate(inputs, parameters)
     reach = 1e-15 * np.abs(outputs)
@@ -87,7 +87,7 @@ def allowance(program: Program, inputs: np.ndarray, parameters: np.ndarray) -> t
 
 
 def assert_agree(actual: np.ndarray, program: Program, inputs: np.ndarray, parameters: np.ndarray) -> None:
-    """Compare outputs with what NumPy makes of the program: the same NaNs, and the same numbers to rounding."""
+    """Compare outputs with NumPy's evaluation of the program: the same NaNs, and the same numbers to rounding."""
     outputs, allowed = allowance(program, inputs, parameters)
     with np.errstate(invalid="ignore"):
         agree = np.abs(actual - outputs) <= allowed
@@ -96,7 +96,7 @@ def assert_agree(actual: np.ndarray, program: Program, inputs: np.ndarray, param
 
 
 def _shaken(program: Program, inputs: np.ndarray, parameters: np.ndarray, seed: int) -> np.ndarray:
-    """Evaluate with the result of every operation off by a few units of the last place at random."""
+    """Evaluate with random errors of a few units of the last place in every operation."""
     rng = np.random.default_rng(seed)
     values = [*inputs.T, *parameters, *map(np.float64, program.constants)]
     for operation, operands in program.lines:

@@ -1,4 +1,4 @@
-"""The C source: what it says about itself, and in-place use."""
+"""The C source: its comment, and in-place use."""
 
 from __future__ import annotations
 

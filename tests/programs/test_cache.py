@@ -115,7 +115,7 @@ def test_a_program_is_traced_once(folder):
 def test_other_sources_have_other_entries(folder, compilations, monkeypatch):
     value(make())
     cache.stored("robot", make)
-    # an edit elsewhere than in the room of programs: traced again, but the same machine code
+    # an edit outside programs/: traced again, but the same machine code
     own = cache._sources("programs")
     monkeypatch.setattr(cache, "_sources", lambda room: own if room else "another version")
     traced = []
@@ -146,7 +146,7 @@ def test_oldest_entries_make_room(folder, monkeypatch):
         (newest,) = {path for path in folder.iterdir() if path.stat().st_mtime > 1e9}
         os.utime(newest, (k, k))
         size = newest.stat().st_size
-    cache.stored("0", lambda: pytest.fail("0 is there"))  # which makes it the last one used
+    cache.stored("0", lambda: pytest.fail("0 is there"))  # now the most recently used
     monkeypatch.setattr(cache, "LARGEST", 3 * size + size // 2)
     cache.stored("4", make)
     remaining = []

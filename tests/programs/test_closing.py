@@ -1,4 +1,4 @@
-"""Closing loops by traced Newton steps, and the checks of what is closed, against Pinocchio."""
+"""Closing loops by traced Newton steps, and checks of closed configurations, against Pinocchio."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def robot(request) -> Robot:
 
 
 def given_at(robot: Robot, q: np.ndarray, task: Task) -> np.ndarray:
-    """Return the coordinates of the held joints and the targets of the tool that belong to q."""
+    """Return the coordinates of the held joints and the targets of the tool at q."""
     joints = np.array([[robot.single_joint(name).coordinate(row) for name in task.joints] for row in q])
     if not task.tool:
         return joints

@@ -13,7 +13,7 @@ SAMPLES = 8
 
 
 def recorded(graph: Graph, values: np.ndarray, name: str) -> np.ndarray:
-    """Numbers with the values of matrices at sample poses, shape=(s, m, n); what is zero at all of them is a zero."""
+    """Numbers with the values of matrices at sample poses, shape=(s, m, n); entries that are always zero are zeros."""
     matrix = np.empty(values.shape[1:], dtype=object)
     for index in np.ndindex(matrix.shape):
         entry = values[(slice(None), *index)]
@@ -35,7 +35,7 @@ def sparse_matrices(generator: np.random.Generator, rows: int, columns: int) -> 
 
 
 def least_squares(matrix: np.ndarray, right: np.ndarray, doubt: Doubt) -> np.ndarray:
-    """Return x that minimises |A x - b|; unknowns that columns leave undetermined are 0."""
+    """Return x that minimises |A x - b|; undetermined unknowns are 0."""
     n = matrix.shape[1]
     b = right.reshape(len(matrix), -1)
     result = eliminate(np.hstack([matrix, b]), range(n), doubt)
@@ -109,7 +109,7 @@ def test_the_complement_spans_what_columns_leave() -> None:
 
 
 def test_rows_apart_stay_apart() -> None:
-    """Two systems that share no column cost no more together than alone."""
+    """Two systems without common columns cost no more together than separately."""
     generator = np.random.default_rng(4)
     graph = Graph()
     one = recorded(graph, generator.standard_normal((SAMPLES, 3, 2)), "A")

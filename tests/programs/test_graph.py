@@ -1,4 +1,4 @@
-"""Recording numbers: what they record, and what they fold or share."""
+"""Recording numbers: recording, folding and sharing."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ FINITE = st.floats(-1e3, 1e3).map(lambda value: round(value, 3))
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 7), st.integers(0, 100), st.integers(0, 100)), max_size=30), FINITE, FINITE)
 def test_folding_keeps_the_value(steps, first, second):
-    """What is folded and shared has the value of the same expression in floats, wherever all of it is finite."""
+    """Folded and shared expressions have the value of the same expression in floats if everything is finite."""
     graph = Graph()
     recorded = [graph.input("a", [first]), graph.input("b", [second]), graph.constant(0.0), graph.constant(-1.0)]
     plain = [first, second, 0.0, -1.0]

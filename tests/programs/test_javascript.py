@@ -1,4 +1,4 @@
-"""Programs printed as JavaScript, run by Node, beside the same programs run by NumPy."""
+"""Programs printed as JavaScript and run by Node, compared with the same programs run by NumPy."""
 
 from __future__ import annotations
 

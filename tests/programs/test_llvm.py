@@ -150,7 +150,7 @@ def test_iteration_stops_lane_by_lane(lanes):
         assert steps == taken
         assert state == pytest.approx(x, rel=1e-14, nan_ok=True)
         assert residual == pytest.approx(left, rel=1e-6, abs=1e-12, nan_ok=True)
-    assert result.steps.max() == 20  # from 1e9 it is too far
+    assert result.steps.max() == 20  # 1e9 is too far away
     assert result.states[0, 0] == 2.0
 
 
@@ -169,7 +169,7 @@ def test_iteration_does_not_depend_on_neighbours_and_threads(monkeypatch):
 
 
 def line_of_roots(lanes=None):
-    """A square root as a closing program: regular by 0.5 where the number is above 0, with a bend at 0."""
+    """A square root as a closing program: of regularity 0.5 where the number is above 0, with a kink at 0."""
     graph = Graph()
     x, margin, jump, a = (graph.input(name, [1.0]) for name in ("x", "margin", "jump", "a"))
     step = 0.5 * (x + a / x) - x
@@ -194,7 +194,7 @@ def test_march_predicts_along_lines_and_ends_them_where_a_pose_is_not_accepted(l
     monkeypatch.setattr(llvm, "_OPERATIONS_A_PART", 100)
     n, m = 19, 12
     squares = np.linspace(1.0, 9.0, n)[:, None] + 1e-5 * np.arange(m)
-    squares[4, 7] += 1.0  # a jump that no step makes good
+    squares[4, 7] += 1.0  # a jump that no step can follow
     shares = np.zeros((m - 1, HISTORY))
     shares[3:, :2] = 1.5, -0.25
     shares[5:, 2] = -0.1

@@ -25,7 +25,7 @@ def composite():
 
 
 def unbounded_unaligned():
-    """Only the reader of URDF makes one with an axis of its own."""
+    """Only the URDF reader makes one with an arbitrary axis."""
     urdf = f"""<robot name="one"><link name="base"/><link name="arm"><inertial><mass value="1"/>
         <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
         <joint name="joint" type="continuous"><parent link="base"/><child link="arm"/>

@@ -55,7 +55,7 @@ def takers(mechanism: Robot, tripod_errors: GeometricErrors) -> dict[str, Callab
 def test_what_are_no_numbers(kind: str, takers: dict[str, Callable[[Any], Any]]) -> None:
     for name, take in takers.items():
         if kind == "NaN" and name == "at":
-            continue  # where there is no pose
+            continue  # there is no pose
         with pytest.raises(PM3DofError) as caught:
             take(NO_NUMBERS[kind])
         assert str(caught.value).isprintable()

@@ -1,4 +1,4 @@
-"""The page that goes through the chapter names only what exists, and misses no equation, table or figure of it."""
+"""The page on the chapter names only existing things, and omits no equation, table or figure."""
 
 from __future__ import annotations
 

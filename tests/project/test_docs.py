@@ -1,15 +1,14 @@
-"""What README.md and the documentation show is run, and compared with the output they print below it.
+"""Examples in README.md and the documentation are run, and their output is compared with the one shown.
 
 On every page, in order:
 
 - ```` ```console ```` blocks: lines that start with `$ ` are commands of the package, run in this process, the lines
   below them their output (standard output and standard error, as on a terminal 100 columns wide);
-- ```` ```python ```` blocks are one program a page; a ```` ```output ```` block after one is what it prints.
+- ```` ```python ```` blocks form one program per page; a ```` ```output ```` block after one is its output.
 
-Runs of blanks are all alike, and `...` stands for anything. A number may differ from the one that stands there by one
-in its last digit, as the last bits of a computation do from machine to machine, or by the part that the block allows:
-```` ```output within 5 % ````, for what hangs on many roundings. Numbers below 1e-9 are all alike: what is left of
-zero. ```` ```bash ```` blocks are not run.
+Whitespace is normalised, and `...` matches anything. A number may differ from the one shown by one in its last digit,
+as results do between machines, or by the tolerance of the block: ```` ```output within 5 % ````, for results that
+depend on many roundings. Numbers below 1e-9 are all equal to zero. ```` ```bash ```` blocks are not run.
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ def _blocks(page: Path) -> list[Block]:
 
 
 def _alike(expected: str, got: str, allowed: float) -> bool:
-    """Tell whether two numbers count as equal."""
+    """Return whether two numbers are considered equal."""
     a, b = (float(text.replace("\u2212", "-")) for text in (expected, got))
     mantissa, _, exponent = expected.lower().partition("e")
     last = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
@@ -82,7 +81,7 @@ def _alike(expected: str, got: str, allowed: float) -> bool:
 
 
 def _matches(expected: str, got: str, allowed: float) -> bool:
-    """Tell whether the output is as expected, apart from blanks, `...` and the last digits of numbers."""
+    """Return whether the output is as expected, apart from whitespace, `...` and the last digits of numbers."""
     if doctest.OutputChecker().check_output(expected, got, LIKE):
         return True
     there, printed = ([NUMBER.findall(part) for part in text.split("...")] for text in (expected, got))
@@ -139,7 +138,7 @@ def test_python_examples(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     for block in _blocks(page):
         if block.kind == "python":
             output = io.StringIO()
-            # blank lines in front, so that a traceback names the line of the page
+            # leading blank lines, so that a traceback names the line of the page
             code = compile("\n" * block.line + block.text, str(page), "exec")
             with contextlib.redirect_stdout(output):
                 exec(code, namespace)
@@ -147,7 +146,7 @@ def test_python_examples(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
         elif block.kind == "output":
             _compare(page, block, block.text, printed)
     for name in [name for name, known in QUANTITIES.items() if known.compute.__module__ == "__example__"]:
-        del QUANTITIES[name]  # which other pages do not have
+        del QUANTITIES[name]  # other pages do not have it
 
 
 @pytest.mark.usefixtures("unpainted", "report_without_pictures")
@@ -203,7 +202,7 @@ def test_every_page_is_reached() -> None:
         for page in DOCS
         for tree in re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
         for entry in tree.split("\n")
-        if entry and not entry.startswith(":") and not entry.endswith("*")  # which stands for pages that are made
+        if entry and not entry.startswith(":") and not entry.endswith("*")  # a pattern, for generated pages
     }
     assert {page.with_suffix("") for page in DOCS} - {ROOT / "docs" / "index"} == listed
 

@@ -16,7 +16,7 @@ LIKE = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 def _modules_with_examples() -> list[str]:
-    """Modules whose docstrings hold a prompt, found without importing any."""
+    """Modules with a prompt in docstrings, found without importing them."""
     names = []
     for path in sorted((ROOT / "pm3dof_pin").rglob("*.py")):
         if ">>> " in path.read_text(encoding="utf-8"):

@@ -31,12 +31,12 @@ def test_examples_are_numbered_and_short() -> None:
 def test_examples_run_in_an_empty_folder(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """They print something, and write a picture or a page that has something in it."""
+    """They print something, and write a picture or page that is not empty."""
     import matplotlib.pyplot as plt
 
     monkeypatch.chdir(tmp_path)
     if "distributed" in path.read_text(encoding="utf-8"):
-        deploy = pytest.importorskip("distributed.deploy")  # threads do here; tests/maps has a cluster of processes
+        deploy = pytest.importorskip("distributed.deploy")  # threads suffice here; tests/maps uses processes
         monkeypatch.setattr(deploy, "LocalCluster", partial(deploy.LocalCluster, processes=False))
     with plt.rc_context({"backend": "agg"}):
         runpy.run_path(str(path), run_name="__main__")
@@ -46,18 +46,18 @@ def test_examples_run_in_an_empty_folder(
 
 
 def test_notebooks_run(tmp_path: Path) -> None:
-    """One after the other in one kernel, as it takes longer to start than they do; each with nothing of the others."""
+    """In one kernel, which takes longer to start than they run; each without the variables of the others."""
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
     together, ends = nbformat.v4.new_notebook(), [0]
     for path in NOTEBOOKS:
         notebook = nbformat.read(path, as_version=4)
         nbformat.validate(notebook)
-        assert not any(cell.get("outputs") for cell in notebook.cells)  # committed without results, which change
+        assert not any(cell.get("outputs") for cell in notebook.cells)  # committed without outputs, which vary
         together.cells += [nbformat.v4.new_code_cell("%reset -f"), *notebook.cells]
         ends.append(len(together.cells))
     interrupt = signal.getsignal(signal.SIGINT)
     nbclient.NotebookClient(together, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    signal.signal(signal.SIGINT, interrupt)  # the client leaves Python's, whatever it was
+    signal.signal(signal.SIGINT, interrupt)  # the client replaces it by Python's default
     for first, last in itertools.pairwise(ends):
         outputs = [output for cell in together.cells[first:last] for output in cell.get("outputs", [])]
         assert any("image/png" in output.get("data", {}) for output in outputs)

@@ -1,4 +1,4 @@
-"""Errors of the package pass between processes with their text and their data."""
+"""The package's errors pass between processes with their text and data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files: only regular ones are read, each is written whole or not at all, and leftovers of killed processes go."""
+"""Files: only regular ones are read, writing is atomic, and leftovers of killed processes are removed."""
 
 from __future__ import annotations
 

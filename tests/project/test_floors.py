@@ -1,4 +1,4 @@
-"""Imports point from upper layers to lower ones, and never in a circle."""
+"""Imports point from upper layers to lower ones, without cycles."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _imports(nodes: Iterable[ast.AST]) -> set[str]:
 
 
 def _statements(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
-    """Return statements and those inside them, where alone an import can be: most nodes are of expressions."""
+    """Return statements, nested ones included: only these can be imports, and most nodes are expressions."""
     for node in nodes:
         yield node
         for block in ("body", "orelse", "handlers", "finalbody", "cases"):
@@ -76,7 +76,7 @@ def _anywhere(module: str) -> set[str]:
 
 
 def _when_loaded(module: str) -> set[str]:
-    """Modules of the package that are imported as soon as this one is."""
+    """Modules of the package that are imported together with this one."""
     return _imports(_parsed(module).body) & set(MODULES) - {module}
 
 
@@ -100,7 +100,7 @@ def test_rooms_do_not_import_each_other_in_a_circle() -> None:
     graph: dict[str, set[str]] = {}
     for module in MODULES:
         graph.setdefault(_room(module), set()).update({_room(name) for name in _anywhere(module)} - {_room(module)})
-    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
 
 
 def test_modules_do_not_import_each_other_in_a_circle_when_they_are_loaded() -> None:

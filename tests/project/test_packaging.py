@@ -1,4 +1,4 @@
-"""The package as it is installed: its data, its types, and how little it imports."""
+"""The installed package: its data, its types, and its few imports."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ HEAVY = {
 
 def _heavy_after(code: str) -> set[str]:
     program = f"{code}\nimport json, sys\nprint(json.dumps(list(sys.modules)))"
-    # started elsewhere than in the checkout, so that the installed package is what is imported
+    # started outside the checkout, so that the installed package is imported
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd="/")
     return HEAVY & set(json.loads(done.stdout.splitlines()[-1]))
 

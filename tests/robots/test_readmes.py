@@ -1,4 +1,4 @@
-"""The READMEs of the other machines than the tripod: their numbers are computed again, their examples run."""
+"""The READMEs of the machines other than the tripod: their numbers are recomputed, their examples run."""
 
 from __future__ import annotations
 

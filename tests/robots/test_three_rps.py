@@ -126,7 +126,7 @@ def test_three_freedoms_and_fifteen_redundant_constraints(machine: Robot) -> Non
 
 
 def test_coordinates_are_height_and_tilts_of_the_tool_in_the_base(configurations: list[Configuration]) -> None:
-    """The height is absolute; R = Rx Ry Rz, where Rz follows from the tilts."""
+    """The height is absolute; R = Rx Ry Rz, with Rz dependent on the tilts."""
     for configuration in configurations:
         robot = configuration.mechanism
         coordinates = [configuration.joint_position(c.joint or "") + c.offset for c in robot.declared_coordinates]
@@ -148,7 +148,7 @@ def test_leg_lengths(
 
 
 def test_actuation_jacobian(configurations: list[Configuration], hinges: Matrix, platform_joints: Matrix) -> None:
-    """Lengths change by [n; b x n] times the twist; the hinges let no twist with [t; b x t] times it through."""
+    """Lengths change by [n; b x n] times the twist; the hinges block twists with nonzero [t; b x t] times the twist."""
     for configuration in configurations:
         arms, legs = _legs(configuration, hinges, platform_joints)
         directions = legs / np.linalg.norm(legs, axis=1)[:, None]
@@ -192,8 +192,8 @@ def _point_of_platform(arm: Matrix) -> Matrix:
 def _frame_stiffness(configuration: Configuration, hinges: Matrix, platform_joints: Matrix, numbers: Numbers) -> Matrix:
     """Stiffness of the platform on its legs, shape=(6, 6), by the direct stiffness method.
 
-    Unknowns of a leg: the rotations of both tubes about the hinges, the six freedoms of the head, the rotation of the
-    rod's end in the ball. The rod is an element from head to ball, the actuator in series with its axial stiffness.
+    Unknowns of a leg: the rotations of both tubes about the hinges, the six displacements of the head, the rotation of
+    the rod's end in the ball. The rod is an element from head to ball, the actuator in series with its axial stiffness.
     """
     e, g = numbers["beams.youngs_modulus"], numbers["beams.shear_modulus"]
 
@@ -225,7 +225,7 @@ def _frame_stiffness(configuration: Configuration, hinges: Matrix, platform_join
 
 
 def test_the_frame_oracle_knows_a_cantilever() -> None:
-    """A force across at the tip: L^3 / (3 E I); along: L / (E A); a torque: L / (G J)."""
+    """A transverse force at the tip: L^3 / (3 E I); an axial one: L / (E A); a torque: L / (G J)."""
     compliance = np.linalg.inv(_beam_element(0.5, 3.0, 5.0, 7.0, np.array([0.0, 0.6, 0.8]))[6:, 6:])
     across, along = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.6, 0.8])
     assert across @ compliance[:3, :3] @ across == pytest.approx(0.5**3 / 15.0)
