@@ -93,6 +93,7 @@ def test_errors_as_quantities_of_maps(name: str) -> None:
     np.testing.assert_allclose(mapped.error_budget.sel(error_source="together"), budget.tip_rms, rtol=1e-9)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command(tmp_path: Path, run: Callable[..., Any]) -> None:
     words = ("error-map", "--whole", "--points", "4", "--wrench", "0", "0", "-500", "0", "0", "0", "--rise", "5")
     done = run(*words, "--out", "maps", "--json", cwd=tmp_path)

@@ -107,6 +107,7 @@ def test_a_section_out_of_reach_is_refused(tripod_errors: GeometricErrors) -> No
         error_section(tripod_errors, grid)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command(tmp_path: Path, run: Run) -> None:
     done = run("error-map", "--points", "7", "--out", "maps", "--target", "1e-4", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

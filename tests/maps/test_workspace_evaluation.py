@@ -143,6 +143,7 @@ def test_nothing_within_the_limits(mechanism: Robot) -> None:
         evaluate_workspace(MappedRobot(mechanism), mechanism.grid(z_e=(0.7, 0.8, 3)))
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command(answer: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     words = ("evaluate", "--robot", "pm3dof", "--points", "5", "--out", "out")
     result = answer(*words, cwd=tmp_path)
