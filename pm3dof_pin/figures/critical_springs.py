@@ -47,9 +47,9 @@ def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figur
         figure = new_figure(TWO_COLUMNS, height)
         panels = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
         for panel, axis in zip(panels.flat, seen, strict=False):
-            fine = np.stack([mesh.fine(entry.T) for entry in shares.sel(axis=axis).values.T])
-            leads = fine.max(axis=0)
-            numbers = (fine >= leads - TIE).argmax(axis=0) + 1  # the first of symmetric springs
+            fine = mesh.fine(shares.sel(axis=axis).values)
+            leads = fine.max(axis=-1)
+            numbers = (fine >= leads[..., None] - TIE).argmax(axis=-1) + 1  # the first of symmetric springs
             image = panel.imshow(
                 numbers.T,
                 origin="lower",

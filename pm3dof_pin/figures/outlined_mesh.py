@@ -62,9 +62,13 @@ class OutlinedMesh:
         )
         return clipped
 
-    def fine(self, field: Array) -> Array:
-        """Return a field on an eight times finer grid, extrapolated like the values at the points; NaN further out."""
-        filled = _extended(np.where(np.isfinite(field), field, np.nan), self.fillable)
+    def fine(self, fields: Array) -> Array:
+        """Return fields, shape=(n, m, k), on an eight times finer grid, extrapolated like the values at the points.
+
+        They are NaN further out.
+        """
+        known = np.moveaxis(np.where(np.isfinite(fields), fields, np.nan), -1, 0)
+        filled = np.stack([_extended(field, self.fillable) for field in known], axis=-1)
         fine = [
             np.interp(np.linspace(0, len(axis) - 1, 8 * (len(axis) - 1) + 1), range(len(axis)), axis)
             for axis in self.axes
