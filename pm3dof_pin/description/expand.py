@@ -7,7 +7,7 @@ import logging
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -62,8 +62,22 @@ def expand_xacro(
         DescriptionError: a file is missing, is not XML or cannot be evaluated (a quantity missing from the parameter
             file is named), does something forbidden, or gives a number that is not finite.
     """
-    path, mappings = Path(path), dict(mappings or {})
-    text = _expanded_here(path, mappings) if _trusted.get() else _expanded_apart(path, mappings, package_paths)
+    (text,) = expand_together([Path(path)], mappings or {}, package_paths)
+    return text
+
+
+def expand_together(
+    paths: Sequence[Path], mappings: Mapping[str, str], package_paths: Iterable[Path | str] = ()
+) -> list[str]:
+    """Expand xacro files of one folder in a single process, otherwise like :func:`expand_xacro`."""
+    if _trusted.get():
+        texts = [_expanded_here(path, mappings) for path in paths]
+    else:
+        texts = _expanded_apart(paths, mappings, package_paths)
+    return [_tidied(path, text) for path, text in zip(paths, texts, strict=True)]
+
+
+def _tidied(path: Path, text: str) -> str:
     robot = ElementTree.fromstring(text)
     for element in robot.iter():
         _tidy(path, element)
@@ -71,10 +85,13 @@ def expand_xacro(
     return _BANNER.format(name=comment_text(path.name)) + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def _expanded_apart(path: Path, mappings: Mapping[str, str], package_paths: Iterable[Path | str]) -> str:
+def _expanded_apart(
+    paths: Sequence[Path], mappings: Mapping[str, str], package_paths: Iterable[Path | str]
+) -> list[str]:
+    path = paths[0]
     request = {
-        "path": str(path.absolute()),
-        "mappings": mappings,
+        "paths": [str(each.absolute()) for each in paths],
+        "mappings": dict(mappings),
         "folders": [str(package_of(path)), *(str(Path(folder).absolute()) for folder in package_paths)],
         "files": [str(Path(value).absolute()) for value in mappings.values() if Path(value).is_file()],
         "modules": [str(Path(folder).absolute()) for folder in sys.path if folder],
@@ -101,6 +118,8 @@ def _expanded_apart(path: Path, mappings: Mapping[str, str], package_paths: Iter
     answer = json.loads(done.stdout)
     for line in done.stderr.splitlines():
         _logger.warning("%s: %s", path, line.strip())
+    texts: list[str] = answer["texts"]
+    path = paths[min(len(texts), len(paths) - 1)]  # up to the first that cannot be expanded
     if "refused" in answer:
         advice = "if you trust the file: pm3dof --trust-xacro ..., or trust_xacro()"
         raise DescriptionError(path, "xacro", f"is not allowed: {answer['refused']}; {advice}")
@@ -108,16 +127,16 @@ def _expanded_apart(path: Path, mappings: Mapping[str, str], package_paths: Iter
         advice = ", which has no default; write a URDF with xacro FILE NAME:=VALUE -o FILE.urdf first"
         is_argument = answer["error"].startswith("Undefined substitution argument")
         raise DescriptionError(path, "xacro", answer["error"] + (advice if is_argument else ""))
-    if len(answer["text"]) > MOST_BYTES:
+    if sum(map(len, texts)) > MOST_BYTES:
         raise DescriptionError(path, "xacro", f"expected no more than {MOST_BYTES >> 20} MiB when expanded")
-    return str(answer["text"])
+    return texts
 
 
 def _expanded_here(path: Path, mappings: Mapping[str, str]) -> str:
     import xacro
 
     try:
-        document = xacro.process_file(str(path.absolute()), mappings=mappings)
+        document = xacro.process_file(str(path.absolute()), mappings=dict(mappings))
     except xacro.XacroException as error:
         raise DescriptionError(path, "xacro", _reason(error)) from error
     except ExpatError as error:

@@ -123,11 +123,11 @@ def _limit() -> None:
             resource.setrlimit(getattr(resource, f"RLIMIT_{kind}"), (most, most))
 
 
-def _answer(request: dict[str, Any]) -> dict[str, str]:
+def _answer(request: dict[str, Any]) -> dict[str, Any]:
     sys.path[:] = request["modules"]
     import glob  # noqa: F401  while imports are still possible
     import xml.dom.expatbuilder
-    from xml.parsers.expat import ExpatError
+    import xml.parsers.expat
 
     import xacro
     import yaml
@@ -139,8 +139,20 @@ def _answer(request: dict[str, Any]) -> dict[str, str]:
     _close(xacro, substitution_args, folders)
     _limit()
     _watch(folders, [os.path.realpath(file) for file in request["files"]])
+    texts: list[str] = []
+    for path in request["paths"]:
+        answer = _expanded(xacro, path, dict(request["mappings"]))
+        if "text" not in answer:
+            return {**answer, "texts": texts}
+        texts.append(answer["text"])
+    return {"texts": texts}
+
+
+def _expanded(xacro: Any, path: str, mappings: dict[str, str]) -> dict[str, str]:
+    from xml.parsers.expat import ExpatError
+
     try:
-        document = xacro.process_file(request["path"], mappings=request["mappings"])
+        document = xacro.process_file(path, mappings=mappings)
         return {"text": document.documentElement.toxml()}
     except _RefusedError as error:
         return {"refused": str(error)}

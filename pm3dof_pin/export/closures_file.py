@@ -9,7 +9,6 @@ from xml.etree import ElementTree
 
 import yaml
 
-from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.exceptions import DescriptionError
 
 _HEADER = """\
@@ -35,8 +34,8 @@ _TAGS = ("closure", "actuated", "tool", "motion", "coordinate", "limits", "sprin
 _NAMES = {"name", "type", "joint", "at", "unit", "frame", "frame_a", "frame_b", "command", "tool", "limits"}
 
 
-def closures_text(xacro: Path, config: Path) -> str:
-    """Expand the xacro of a closures file with a parameter file and write it as YAML.
+def closures_text(xacro: Path, expanded: str) -> str:
+    """Write the expanded xacro of a closures file as YAML.
 
     Its root element contains, in any order: `<closure frame_a= frame_b= type=>` for each loop, with `swing_rad=` if
     there is such a limit and `limits=` if it belongs to a limit group; `<actuated joint=>`, with `command=`, the name
@@ -46,9 +45,9 @@ def closures_text(xacro: Path, config: Path) -> str:
     as attributes (a matrix as its numbers, row by row) or, if they are mappings, as children.
 
     Raises:
-        DescriptionError: the file cannot be expanded, or an element is malformed.
+        DescriptionError: an element is malformed.
     """
-    root = ElementTree.fromstring(expand_xacro(xacro, {"config": str(config)}))
+    root = ElementTree.fromstring(expanded)
     try:
         return _text(root)
     except _FormError as error:

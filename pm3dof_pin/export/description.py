@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from pm3dof_pin.description.expand import expand_xacro
+from pm3dof_pin.description.expand import expand_together
 from pm3dof_pin.description.parameters import find_parameters, read_parameters, read_quantities
 from pm3dof_pin.description.robots import DESCRIPTION_SUFFIX, robot_names, robots_directory
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
@@ -56,16 +56,17 @@ def packaged_description(robot: str, config: Path | str | None) -> tuple[str, di
     name = parameters.get("name")
     if not isinstance(name, str):
         raise DescriptionError(config, "name", f"expected the name of the robot, not {name}")
+    files = [folder / "xacro" / f"{robot}.{kind}.xacro" for kind in ("urdf", "closures", "srdf")]
     with tempfile.TemporaryDirectory() as temporary:
         whole = write_text_atomically(Path(temporary) / config.name, yaml.safe_dump(parameters, sort_keys=False))
         try:
-            urdf = expand_xacro(folder / "xacro" / f"{robot}.urdf.xacro", {"config": str(whole)})
-            closures = closures_text(folder / "xacro" / f"{robot}.closures.xacro", whole)
+            urdf, *others = expand_together(files, {"config": str(whole)})
+            closures = closures_text(files[1], others[0])
         except DescriptionError as error:
             problem = error.expected.removeprefix(f"{whole}: ")
             if problem == error.expected:
                 raise
             element, _, expected = problem.partition(": ")
             raise DescriptionError(config, element, expected) from error
-        srdf = srdf_text(folder / "xacro" / f"{robot}.srdf.xacro", whole, urdf, closures)
+        srdf = srdf_text(files[2], others[1], urdf, closures)
     return name, {f"urdf/{name}.urdf": urdf, f"urdf/{name}.closures.yaml": closures, f"srdf/{name}.srdf": srdf}

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.assembly import assemble
@@ -29,18 +28,18 @@ _SECTIONS = {
 }
 
 
-def srdf_text(xacro: Path, config: Path, urdf: str, closures: str) -> str:
-    """Expand the xacro of an SRDF with a parameter file, and complete it from URDF and closures file.
+def srdf_text(xacro: Path, expanded: str, urdf: str, closures: str) -> str:
+    """Complete the expanded xacro of an SRDF from URDF and closures file.
 
     Its named configurations (`group_state`) give the joints that define them; the others follow from closing the loops.
     Those that cannot be reached within all joint limits are omitted, and logged. Passive joints are all joints that the
     closures file does not name as actuated.
 
     Raises:
-        DescriptionError: the file cannot be expanded, or a value in it is not a number.
+        DescriptionError: a value in it is not a number.
         JointNotFoundError: it names a joint that the URDF does not have.
     """
-    source = ElementTree.fromstring(expand_xacro(xacro, {"config": str(config)}))
+    source = ElementTree.fromstring(expanded)
     mechanism = _mechanism(source.get("name", ""), urdf, closures)
     joints = _movable_joints(urdf)
     passive = [name for name in joints if name not in mechanism.actuated_joints]

@@ -302,7 +302,7 @@ def test_an_expansion_that_ends_early_is_refused(tmp_path: Path, monkeypatch: py
     path.write_text('<robot name="arm"><link name="l"/></robot>', encoding="utf-8")
     slow = subprocess.TimeoutExpired("python", 15)
     killed, failed = (subprocess.CompletedProcess([], status, "", "a\nMemoryError") for status in (-9, 1))
-    huge = subprocess.CompletedProcess([], 0, json.dumps({"text": " " * (expand.MOST_BYTES + 1)}), "")
+    huge = subprocess.CompletedProcess([], 0, json.dumps({"texts": [" " * (expand.MOST_BYTES + 1)]}), "")
     for ending, said in (
         (slow, "takes more than 15 s"),
         (OSError("no more processes"), "in a separate process .no more processes"),
@@ -313,6 +313,16 @@ def test_an_expansion_that_ends_early_is_refused(tmp_path: Path, monkeypatch: py
         monkeypatch.setattr(expand.subprocess, "run", Mock(side_effect=[ending]))
         with pytest.raises(DescriptionError, match=said):
             expand_xacro(path)
+
+
+def test_of_files_expanded_together_the_wrong_one_is_named(tmp_path: Path) -> None:
+    good, bad = (tmp_path / f"{name}.xacro" for name in ("good", "bad"))
+    good.write_text("<robot name='good'/>", encoding="utf-8")
+    bad.write_text("<robot xmlns:xacro='http://www.ros.org/wiki/xacro' name='${1 / 0}'/>", encoding="utf-8")
+    assert [text.count('name="good"') for text in expand.expand_together([good, good], {})] == [1, 1]
+    with pytest.raises(DescriptionError, match="division by zero") as caught:
+        expand.expand_together([good, bad, good], {})
+    assert caught.value.path == bad
 
 
 def test_a_trusted_xacro_may_do_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

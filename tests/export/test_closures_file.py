@@ -9,6 +9,7 @@ import pytest
 
 from pm3dof_pin.description.closures import LoopClosure, read_closures
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup
+from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.elastic.springs import BeamSpring, CantileverSpring, JointSpring, read_springs
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.closures_file import closures_text
@@ -20,7 +21,7 @@ MATRIX = np.diag([1e5, 2e5, 3e-5, 4.0, 5.0, 1e17])
 def _text(tmp_path: Path, content: str) -> str:
     path = tmp_path / "x.closures.xacro"
     path.write_text(HEAD + content + "</closures>", encoding="utf-8")
-    return closures_text(path, tmp_path / "x.yaml")
+    return closures_text(path, expand_xacro(path, {"config": str(tmp_path / "x.yaml")}))
 
 
 def test_what_is_said_arrives(tmp_path: Path) -> None:

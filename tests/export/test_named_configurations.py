@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.exceptions import DescriptionError, JointNotFoundError
 from pm3dof_pin.export.named_configurations import srdf_text
 
@@ -38,7 +39,7 @@ def _srdf(tmp_path: Path, content: str) -> str:
     path = tmp_path / "linkage.srdf.xacro"
     root = f"<robot name='linkage' xmlns:xacro='http://www.ros.org/wiki/xacro'>{content}</robot>"
     path.write_text(root, encoding="utf-8")
-    return srdf_text(path, tmp_path / "linkage.yaml", URDF, CLOSURES)
+    return srdf_text(path, expand_xacro(path, {"config": str(tmp_path / "linkage.yaml")}), URDF, CLOSURES)
 
 
 def test_the_other_joints_follow_from_the_loops(tmp_path: Path) -> None:
