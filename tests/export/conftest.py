@@ -1,8 +1,8 @@
 """Shared by the tests of all tools: poses, cross-check values, and the forces that follow from a tool's own terms.
 
-A tool is asked for the terms of its own equation of motion: mass matrix, bias forces, and for the loop closures the
-velocity between the two frames of each, as a Jacobian, and its acceleration at constant rates. What holds the mechanism
-follows from them by plain linear algebra here, which knows nothing of the package.
+A tool provides the terms of its own equation of motion: mass matrix, bias forces, and for the loop closures the
+relative velocity of the two frames of each, as a Jacobian, and its acceleration at constant rates. The holding forces
+follow from these by plain linear algebra, independently of the package.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Terms:
 
 @dataclass
 class CrossCheck:
-    """A pose, its motion, and what closed form, Pinocchio, MuJoCo, Drake and PyBullet agreed on."""
+    """A pose, its motion, and results on which closed form, Pinocchio, MuJoCo, Drake and PyBullet agreed."""
 
     pose: tuple[float, float, float]
     rates: tuple[float, float, float]
@@ -125,7 +125,7 @@ def named_positions(load: Callable[[str], Robot]) -> Callable[[str], dict[str, d
 
 @pytest.fixture(scope="session")
 def ten_poses(load: Callable[[str], Robot]) -> Callable[[str], list[Configuration]]:
-    """Home and nine closed configurations of a robot, within all limits, at random places of its actuators."""
+    """Home and nine closed configurations of a robot, within all limits, at random actuator positions."""
 
     def poses(robot: str) -> list[Configuration]:
         mechanism, generator = load(robot), np.random.default_rng(11)
@@ -233,7 +233,7 @@ def settle() -> Callable[..., dict[str, Any]]:
     """Drive a simulated robot from home to a target by PID control of its actuators, and hold it there.
 
     Its `step(forces)` simulates one step and returns positions and rates of the actuators; its `closure_error()` is
-    looked at every ten steps, a hundredth of a second or less.
+    checked every ten steps, a hundredth of a second or less.
     """
 
     def run(
@@ -304,7 +304,7 @@ def _four_bar(kind: str) -> str:
     joints = [
         '<link name="world"/>',
         f'<link name="rocker_tip">{_MASSLESS}{_BALL}</link>',  # the shapes of both tips overlap
-        f'<link name="tool">{_BALL}</link>',  # PyBullet gives 1 kg to a link that does not say that it has none
+        f'<link name="tool">{_BALL}</link>',  # PyBullet assumes 1 kg for a link without an explicit mass
         _FIXED.format(parent="world", child="base", xyz="0 0 0.1"),
         _HINGE.format(
             name="crank_joint",

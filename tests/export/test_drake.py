@@ -162,7 +162,7 @@ def test_a_simulation_from_home_stays_closed_and_settles_on_our_forces(
     robot: str,
     gains: tuple[float, float, float],
 ) -> None:
-    """Point closures and, in the last robot, welds made of three: 5e-8 m open, moving or at rest."""
+    """Point closures and, in the last robot, welds made of three: open by 5e-8 m at most, moving or at rest."""
     simulator, mechanism = open_robot(robot), load(robot)
     target = mechanism.configuration(mechanism.named_configurations["tilt_x"])
     end = settle(

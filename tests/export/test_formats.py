@@ -1,4 +1,4 @@
-"""All formats together: the same text as committed, from any robot, and the messages for bad input."""
+"""All formats: the text as committed, from any robot, and the messages for invalid input."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_gepetto_files_have_the_keys_of_the_convention_and_no_others(robot: str)
 
 
 def test_a_joint_that_stands_for_another_is_written_as_what_it_is(four_bar: Path) -> None:
-    """A spherical joint is three hinges in one point, in every format."""
+    """A spherical joint is three revolute joints through one point, in every format."""
     closures = four_bar.with_name("linkage.closures.yaml")
     closures.write_text(closures.read_text() + "joint_name: [rocker_joint]\njoint_type: [SPHERICAL]\n")
     files = exported_files(read_robot(four_bar), "gepetto")
@@ -110,7 +110,7 @@ def test_mjcf_with_a_ball_comes_back_as_the_same_mechanism(tmp_path: Path, kind:
         (
             "drake",
             ["arm.obj", "arm_2.obj", "arm_3.obj", "arm_4.obj"],
-        ),  # it reads no Collada, and no STL to collide with
+        ),  # it reads no Collada, and no STL for collisions
         ("gepetto", ["arm.obj", "arm_2.obj", "arm.dae", "arm.stl"]),
         ("mjcf", ["arm.obj", "arm_2.obj", "arm_3.obj", "arm.stl"]),
         ("sdf", ["arm.obj", "arm_2.obj", "arm.dae", "arm.stl"]),
@@ -120,7 +120,7 @@ def test_mjcf_with_a_ball_comes_back_as_the_same_mechanism(tmp_path: Path, kind:
 def test_meshes_are_beside_the_files_that_name_them(
     four_bar: Path, tmp_path: Path, kind: str, expected: list[str]
 ) -> None:
-    """In a kind of file that the tool reads; the triangles are the same ones."""
+    """In a file type that the tool reads, with the same triangles."""
     path, *others = export_robot(four_bar, kind, tmp_path)
     meshes = ElementTree.parse(path).iter("mesh")
     named = [name for mesh in meshes if (name := mesh.get("filename") or mesh.get("file") or mesh.findtext("uri"))]
@@ -300,7 +300,7 @@ def test_the_command_refuses_bad_input(run: Run, arguments: list[str], status: i
 
 
 def test_meshes_can_be_left_out(tmp_path: Path) -> None:
-    """Shapes that are meshes go, the others stay; the tree is the same."""
+    """Mesh shapes are omitted, others are kept; the tree is the same."""
     inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     mesh = '<visual><geometry><mesh filename="package://nowhere/arm.stl"/></geometry></visual>'
     box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'

@@ -1,4 +1,4 @@
-"""Exports include meshes of the robot's own folder and of named packages, and no other file."""
+"""Exports include meshes of the robot's own folder and of given packages, and no other file."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_a_folder_that_is_named_is_one_of_ours(folder: Path, tmp_path: Path) -> 
 
 
 def test_a_package_is_not_looked_for_without_end(tmp_path: Path) -> None:
-    """Otherwise a package.xml far above, in somebody's home, would own everything below it."""
+    """Otherwise a package.xml far above, in a user's home, would own everything below it."""
     (tmp_path / "package.xml").touch()
     near, far = tmp_path / "a" / "b" / "c" / "urdf", tmp_path / "a" / "b" / "c" / "d" / "e" / "urdf"
     assert package_of(near / "arm.urdf") == tmp_path

@@ -119,7 +119,7 @@ def test_keyframes_are_the_named_configurations(
 def test_nothing_is_lost_of_the_urdf(
     open_robot: Callable[[str], Simulator], robot: str, load: Callable[[str], Robot]
 ) -> None:
-    """Bodies are where Pinocchio has them, with every digit; shapes, limits and greatest forces are all there."""
+    """Bodies are where Pinocchio has them, to all digits; shapes, limits and maximum forces are complete."""
     simulator, mechanism = open_robot(robot), load(robot)
     q = np.random.default_rng(4).uniform(-0.3, 0.3, mechanism.model.nq)
     configuration = mechanism.configuration(q)
@@ -200,7 +200,7 @@ def test_a_simulation_from_home_stays_closed_and_settles_on_our_forces(
     robot: str,
     gains: tuple[float, float, float],
 ) -> None:
-    """The settings of the file leave 5e-8 m open, moving or at rest."""
+    """With the file's settings loops open by at most 5e-8 m, moving or at rest."""
     simulator, mechanism = open_robot(robot), load(robot)
     target = mechanism.configuration(mechanism.named_configurations["tilt_x"])
     end = settle(
@@ -245,7 +245,7 @@ def test_a_robot_of_ones_own(
     actuator_forces: Callable[..., np.ndarray],
     terms: Any,
 ) -> None:
-    """Its zero is not assembled: the sites close the right loop all the same, and the home keyframe is assembled."""
+    """Its zero is not assembled: the sites still close the right loop, and the home keyframe is assembled."""
     (path, *meshes) = export_robot(four_bar, "mjcf", tmp_path / "out")
     assert path.name == "four_bar.xml"
     assert [mesh.name for mesh in meshes] == ["arm.obj", "arm_2.obj", "arm_3.obj", "arm.stl"]
@@ -277,7 +277,7 @@ def test_a_robot_of_ones_own(
 
 
 def test_frames_on_two_rotated_fixed_joints_are_where_the_urdf_has_them(tmp_path: Path) -> None:
-    """Turns about different axes do not commute: their order shows in a frame behind two of them."""
+    """Rotations about different axes do not commute: their order shows in a frame after two of them."""
     fixed = (
         '<joint name="{0}" type="fixed"><parent link="{1}"/><child link="{2}"/><origin xyz="{3}" rpy="{4}"/></joint>'
     )

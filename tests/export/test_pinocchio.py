@@ -16,7 +16,7 @@ from pm3dof_pin.kinematics.robot import Robot
 
 
 def _same_joints(one: pin.Model, other: pin.Model, q: np.ndarray) -> np.ndarray:
-    """The configuration of `other` in which its joints are where those of `one` are at q."""
+    """The configuration of `other` with its joints where those of `one` are at q."""
     moved = pin.neutral(other)
     for name in list(one.names)[1:]:
         a, b = one.joints[one.getJointId(name)], other.joints[other.getJointId(name)]
@@ -73,12 +73,12 @@ def test_the_mjcf_is_the_urdf(file_of: Callable[[str, str], Path], robot: str, l
 
 
 def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path) -> None:
-    """With a root called world, bodies that carry closures, and turned products of inertia."""
+    """With a root called world, closures on bodies with mass, and rotated products of inertia."""
     path = export_robot(four_bar, "mjcf", tmp_path / "out")[0]
     mechanism = Robot.load(four_bar)
     model, points, frames = pin.buildModelAndConstraintsFromMJCF(str(path))
     assert (len(points), len(frames)) == ((1, 0) if mechanism.closures[0].type == "3d" else (0, 1))
-    # Pinocchio takes a hinge without limits for one angle, and the joint of a URDF for cosine and sine
+    # Pinocchio represents a hinge without limits by an angle, and a continuous joint of a URDF by cosine and sine
     q = np.random.default_rng(5).uniform(-0.3, 0.3, model.nq)
     positions = {name: q[model.joints[model.getJointId(name)].idx_q] for name in list(model.names)[1:]}
     ours = mechanism.configuration(mechanism.place_joints(mechanism.home.q, positions)[0])

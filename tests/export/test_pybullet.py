@@ -21,7 +21,7 @@ pybullet = pytest.importorskip("pybullet")
 FileOf = Callable[[str, str], Path]
 Positions = dict[str, float]
 STEP = 1e-3
-SINGLE = 6e-8  # what single precision leaves of half a metre or more
+SINGLE = 6e-8  # single precision at half a metre or more
 
 
 class Simulator:
@@ -74,7 +74,7 @@ class Simulator:
                 self.body, q.tolist(), v.tolist(), [0.0] * len(q), physicsClientId=self.client
             )
         )
-        # PyBullet knows no derivative of a Jacobian: central differences
+        # PyBullet does not compute derivatives of a Jacobian: central differences
         step = 1e-6
         drift = (self._loops(q + step * v) - self._loops(q - step * v)) @ v / (2.0 * step)
         return make_terms(self.joints, mass, bias, self._loops(q), drift)
@@ -168,7 +168,7 @@ def test_a_simulation_from_home_stays_closed_and_settles_near_our_forces(
     open_by: float,
     off_by: float,
 ) -> None:
-    """PyBullet leaves loops open [m, rad] in proportion to their load, which is ten times greater in the last robot."""
+    """PyBullet opens loops [m, rad] in proportion to their load, which is ten times greater for the last robot."""
     simulator, mechanism = open_robot(robot), load(robot)
     target = mechanism.configuration(mechanism.named_configurations["tilt_x"])
     end = settle(
@@ -185,7 +185,7 @@ def test_a_simulation_from_home_stays_closed_and_settles_near_our_forces(
 
 
 def test_a_robot_of_ones_own(client: int, four_bar: Path, tmp_path: Path) -> None:
-    """The points of its closure count from centres of mass that are elsewhere, in axes that are turned."""
+    """The points of its closure are relative to centres of mass elsewhere, in rotated axes."""
     (path, *_) = export_robot(four_bar, "urdf", tmp_path / "out")
     mechanism = Robot.load(four_bar)
     linkage = Simulator(client, path, mechanism, four_bar)
@@ -196,7 +196,7 @@ def test_a_robot_of_ones_own(client: int, four_bar: Path, tmp_path: Path) -> Non
         _, rates = linkage.step(np.array(holding_forces(configuration).actuator_forces))
     assert linkage.closure_error() < 2e-5
     assert abs(rates).max() < 1e-3
-    # let go, it falls, and stays closed
+    # when released, it falls and stays closed
     for _ in range(200):
         _, rates = linkage.step(np.zeros(1))
     assert abs(rates).max() > 0.1

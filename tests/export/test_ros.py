@@ -64,7 +64,7 @@ def test_the_manifest_is_one(robot: str) -> None:
     assert not warnings
     assert package.name == _package(robot).name == f"{robot}_description"
     assert package.licenses == ["BSD-2-Clause"]
-    assert [person.email.endswith(".invalid") for person in package.maintainers] == [True]  # nobody else's address
+    assert [person.email.endswith(".invalid") for person in package.maintainers] == [True]  # not a real address
     assert package.get_build_type() == "ament_cmake"
 
 
@@ -101,9 +101,9 @@ def test_the_rviz_file_shows_the_robot_in_its_base(robot: str) -> None:
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
 def test_a_package_installs_by_itself(tmp_path: Path, robot: str) -> None:
-    """Copied into an empty workspace and installed into a folder of its own, as colcon does it, it needs no other one.
+    """Copied into an empty workspace and installed into a separate folder, as by colcon, it needs nothing else.
 
-    With an ament_cmake that has only its last command.
+    Uses an ament_cmake that has only its last command.
     """
     ament = tmp_path / "ament"
     ament.mkdir()

@@ -20,7 +20,7 @@ from pm3dof_pin.mechanism.configuration import Configuration
 
 
 def _checker() -> str | None:
-    """The command of libsdformat, which is there only if its part of the command is."""
+    """The command of libsdformat, if it is installed completely."""
     for tool in filter(shutil.which, ("gz", "ign")):
         if subprocess.run([tool, "sdf", "--versions"], capture_output=True, check=False).returncode == 0:
             return tool
@@ -81,7 +81,7 @@ def test_every_loop_is_a_joint_between_the_frames_of_its_closure(
 
 
 def test_the_tree_is_ours(file_of: Callable[[str, str], Path], robot: str, load: Callable[[str], Robot]) -> None:
-    """Frames, mass matrix, limits and greatest forces, at joint positions where the loops are far from closed."""
+    """Frames, mass matrix, limits and maximum forces, at joint positions with wide open loops."""
     mechanism = load(robot)
     plant, context = _tree_in_drake(file_of(robot, "sdf"), mechanism)
     joints = [plant.GetJointByName(name) for name in list(mechanism.model.names)[1:]]
@@ -109,7 +109,7 @@ def test_shapes_are_all_there(file_of: Callable[[str, str], Path], robot: str) -
 
 
 def test_shapes_are_placed_in_their_links(file_of: Callable[[str, str], Path], robot: str) -> None:
-    """The shapes of a frame without mass are those of the link that carries it, placed relative to the frame."""
+    """The shapes of a massless frame belong to the link that carries it, placed relative to the frame."""
     urdf = ElementTree.parse(file_of(robot, "urdf")).getroot()
     sdf = ElementTree.parse(file_of(robot, "sdf")).getroot()
     where = {}
@@ -127,7 +127,7 @@ def test_shapes_are_placed_in_their_links(file_of: Callable[[str, str], Path], r
 
 
 def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path) -> None:
-    """Its home is not at zero: the file shows it assembled, and counts its joints from there."""
+    """Its home is not at zero: the file has it assembled, and measures joints from there."""
     (path, *_) = export_robot(four_bar, "sdf", tmp_path / "out")
     mechanism = Robot.load(four_bar)
     if CHECKER is not None:

@@ -1,4 +1,4 @@
-"""Pictures in full."""
+"""Pictures at full resolution."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ _DPI, _FACES = style.DPI, section_map._FACES
 
 @pytest.fixture(autouse=True)
 def _full_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Paint them at full resolution, see `_coarse_pictures`."""
+    """Render at full resolution, see `_coarse_pictures`."""
     monkeypatch.setattr(style, "DPI", _DPI)
     monkeypatch.setattr(section_map, "_FACES", _FACES)

@@ -1,4 +1,4 @@
-"""Slices through an atlas: one picture for each number, with the unit of that number."""
+"""Slices through an atlas: one picture per number, with its unit."""
 
 from __future__ import annotations
 

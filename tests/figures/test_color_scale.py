@@ -1,4 +1,4 @@
-"""Colour scales and labels: the information about numbers in a picture."""
+"""Colour scales and labels."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def test_triangles_fill_the_shape_once(shape: str) -> None:
     mesh, _ = _mesh(shape)
     a, b, c = (mesh.points[mesh.triangles[:, k]] for k in range(3))
     areas = 0.5 * np.linalg.det(np.stack([b - a, c - a], axis=-1))
-    assert np.all(areas > -0.02 * (X[1] - X[0]) ** 2)  # none lies over another, but for slivers along the outline
+    assert np.all(areas > -0.02 * (X[1] - X[0]) ** 2)  # none overlaps another, except for slivers along the outline
     assert areas.sum() == pytest.approx(SHAPES[shape], rel=2e-4)
 
 
@@ -55,7 +55,7 @@ def test_limit_lines_lie_on_the_outline_and_end_lines_on_the_rim(shape: str) -> 
 def test_a_linear_field_stays_linear_up_to_the_outline(coarse: bool) -> None:
     mesh, field = _mesh("disc", *((X[::6], Y[::6]) if coarse else (X, Y)))
     exact = 10.0 + mesh.points[:, 0] - 2.0 * mesh.points[:, 1]
-    # the logarithm is what is extrapolated of positive values
+    # positive values are extrapolated by their logarithm
     np.testing.assert_allclose(mesh.values(field + 7.0), exact, atol=0.15 if coarse else 2e-3)
     radii = np.linalg.norm(mesh.limit_lines.reshape(-1, 2), axis=1)
     np.testing.assert_allclose(radii, 1.0, atol=1e-4)
@@ -70,7 +70,7 @@ def test_a_hole_without_a_limit_stays_open() -> None:
 
 
 def test_faces_and_dashes() -> None:
-    """Divided triangles cover the same area; the end of a grid is one line a side, so that its dashes run through."""
+    """Divided triangles cover the same area; the end of a grid is one line per side, for continuous dashes."""
     triangle = np.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 3.0], [0.5, 1.0, -1.0]]])
     parts = divided_triangles(triangle, 50)
     areas = 0.5 * np.linalg.det(np.diff(parts[..., :2], axis=1))

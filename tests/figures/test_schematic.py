@@ -1,4 +1,4 @@
-"""The schematic shows the machine's own points, and its labels can be read."""
+"""The schematic shows the machine's own points, and its labels are legible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every script of the chapter runs on small input, writes into the given folder, and says what it wrote."""
+"""Every script of the chapter runs on small input, writes to the given folder, and reports what it wrote."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ELSEWHERE = {"gallery", "generate_description"}
 """Those that need a browser, or that other tests run."""
 
 IN_FULL = ("figure_8_1", "figure_8_4")
-"""Those that are painted as everybody does; the others with fewer dots and triangles."""
+"""Those rendered at full resolution; the others are rendered more coarsely."""
 
 VECTORS = ("pdf", "png", "svg")
 RUNS: dict[str, tuple[dict[str, Any], list[str]]] = {
@@ -45,7 +45,7 @@ def _load(name: str) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     script = importlib.util.module_from_spec(spec)
-    sys.path.insert(0, str((SCRIPTS / name).parent))  # as Python has it for a script
+    sys.path.insert(0, str((SCRIPTS / name).parent))  # as for a script
     try:
         spec.loader.exec_module(script)
     finally:

@@ -80,7 +80,7 @@ def test_picture_on_disk(draw: Callable[[str], Figure], tmp_path: Path) -> None:
     assert image.shape[:2] == (960, 2125)
     for half in (image[:, :950, :3], image[:, 1150:1850, :3]):
         assert len(np.unique((half * 255).astype(int) @ (1, 1 << 8, 1 << 16))) > 50
-    # nothing is cut off at the rim of the picture
+    # nothing is cut off at the edge of the picture
     rim = np.concatenate([image[:4].reshape(-1, 4), image[-4:].reshape(-1, 4), image[:, :4].reshape(-1, 4)])
     assert np.all(rim[:, :3] > 0.999)
 
@@ -88,7 +88,7 @@ def test_picture_on_disk(draw: Callable[[str], Figure], tmp_path: Path) -> None:
 def test_the_map_covers_the_section_and_no_more(
     tripod: Tripod, section: xr.Dataset, draw: Callable[[str], Figure]
 ) -> None:
-    """Limits are met along the limit lines, the grid's last tilt along its end, and within is all that is drawn."""
+    """Limits bind along the limit lines, the grid's last tilt along its end, and everything drawn is inside."""
     contours = draw("stiffness_theta_x").axes[1]
     limits, ends = (_pieces(collection) for collection in contours.collections[-2:])
     most = float(np.degrees(section.theta_x.max()))
@@ -128,7 +128,7 @@ def test_colours_stand_for_the_values_of_the_section(section: xr.Dataset, draw: 
 
 def test_without_an_outline(tripod: Tripod) -> None:
     figure = section_map(stiffness_section(tripod, RectangularGrid(shape=(21, 21))).dataset(), "stiffness_t_z")
-    assert not _pieces(figure.axes[1].collections[-2])  # which limits end it is not known
+    assert not _pieces(figure.axes[1].collections[-2])  # its limits are unknown
     (_, reach) = figure.axes[1].get_xlim()
     assert 38.0 < reach < 45.0
 

@@ -1,4 +1,4 @@
-"""Pictures on disk: all or nothing, the same bytes for the same picture, the user's settings unchanged."""
+"""Pictures on disk: atomic, identical bytes for identical pictures, and the user's settings unchanged."""
 
 from __future__ import annotations
 

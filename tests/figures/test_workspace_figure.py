@@ -126,6 +126,6 @@ def _areas(space: LimitSpace, levels: ArrayLike) -> list[float]:
 
 
 def _enclosed(lines: Collection) -> float:
-    """Area within lines that go round."""
+    """Area within closed lines."""
     starts, ends = np.array([path.vertices for path in lines.get_paths()]).swapaxes(0, 1)
     return float(0.5 * np.sum(starts[:, 0] * ends[:, 1] - starts[:, 1] * ends[:, 0]))

@@ -1,7 +1,7 @@
-"""Damaged inputs: files as changed by a text editor, a spreadsheet, a bad disk or an attacker, and their results.
+"""Damaged inputs: files as changed by text editors, spreadsheets, bad disks or attackers, and the results.
 
-As a script it runs hundreds of mutants of every input, each worker in a process of its own, and says what was neither
-refused by one of the package's errors nor read as a machine that can be:
+As a script it runs hundreds of mutants of every input, each worker in a separate process, and reports those neither
+refused by one of the package's errors nor read as a possible machine:
 
     python tests/fuzz/mutants.py --count 300 [--input urdf] [--seed 1] [--keep FOLDER]
 """
@@ -137,7 +137,7 @@ def _deep(text: str, generator: random.Random) -> str:
 
 
 def _swapped(text: str, generator: random.Random) -> str:
-    """Exchange two quoted values, two numbers or two words."""
+    """Swap two quoted values, two numbers or two words."""
     pattern = generator.choice((re.compile(r'(?<=")[^"\n]*(?=")'), _NUMBER, _WORD))
     found = list(pattern.finditer(text))
     if len(found) < 2:
@@ -152,7 +152,7 @@ def _name(text: str, generator: random.Random) -> str:
 
 
 def _block(text: str, generator: random.Random) -> str:
-    """Copy an element or a run of lines to another place, or put a hostile one there."""
+    """Copy an element or a run of lines to another place, or insert a hostile one there."""
     if text.lstrip().startswith("<"):
         if generator.random() < 0.3:
             return generator.choice(_DOCTYPES) + text.partition("?>")[2]
@@ -177,7 +177,7 @@ _OPERATIONS: tuple[Callable[[str, random.Random], str], ...] = (
 
 
 def _encoded(text: str, generator: random.Random) -> bytes:
-    """Write a text in an encoding that is not expected, or with bytes that are no text."""
+    """Write a text in an unexpected encoding, or with bytes that are not text."""
     return generator.choice((
         text.encode(errors="replace")[:-3] + b"\xff\xfe",
         text.encode("utf-16", errors="replace"),
@@ -190,7 +190,7 @@ def _encoded(text: str, generator: random.Random) -> bytes:
 
 
 def _replace_by_no_file(file: Path, generator: random.Random) -> None:
-    """Replace a file by something that is not one."""
+    """Replace a file by something that is not a file."""
     file.unlink()
     match generator.randrange(6):
         case 0:
@@ -209,12 +209,12 @@ def _replace_by_no_file(file: Path, generator: random.Random) -> None:
 
 
 class Input:
-    """One kind of input: folders of sound files, which of them is damaged, and what reads it.
+    """A kind of input: folders of valid files, the file to damage, and its reader.
 
     Args:
         sources: folders, of which one is copied.
         pattern: the files, of which one is damaged.
-        read: reads the folder's copy; raises if what it accepts is no machine.
+        read: reads the folder's copy; raises if it accepts an impossible machine.
     """
 
     def __init__(self, sources: Sequence[Path], pattern: str, read: Callable[[Path], None]) -> None:
@@ -326,7 +326,7 @@ def inputs(calibrations: Sequence[Path] = ()) -> dict[str, Input]:
 
     Args:
         calibrations: folders, each named as its robot, with plan.csv, measurements.csv and a folder `calibration`;
-            without any these kinds are left out.
+            without any, these kinds are omitted.
     """
     robots, machines = sorted(ROBOTS.glob("*_description")), sorted(MACHINES.iterdir())
     closed = [*(robot / "urdf" for robot in robots), *(machine for machine in machines if any(machine.glob("*.urdf")))]
@@ -357,11 +357,11 @@ def inputs(calibrations: Sequence[Path] = ()) -> dict[str, Input]:
 
 
 class _HangError(BaseException):
-    """A mutant took too long; nothing that handles errors handles it."""
+    """A mutant took too long; ordinary error handlers do not catch this."""
 
 
 def outcome(kind: Input, seed: int, above: Path) -> str:
-    """Return "refused", "accepted", or what went wrong with a mutant."""
+    """Return "refused", "accepted", or what failed with a mutant."""
     from pm3dof_pin.exceptions import PM3DofError
 
     try:
@@ -398,7 +398,7 @@ def _work(name: str, seeds: range, calibrations: list[Path], keep: Path | None, 
 def run(
     name: str, seeds: range, calibrations: list[Path], keep: Path | None, seconds: int = SECONDS
 ) -> Iterator[tuple[int, str]]:
-    """Run mutants in processes of their own; one that dies is a finding, and the next process goes on behind it."""
+    """Run mutants in separate processes; one that dies is a finding, and the next process continues after it."""
     first = seeds.start
     while first < seeds.stop:
         command = [sys.executable, __file__, "--work", name, "--seed", str(first), "--count", str(seeds.stop - first)]

@@ -1,4 +1,4 @@
-"""Wrong measurement files are refused with their cause, doubted, or as good as correct ones: some of the script's."""
+"""Wrong measurement files are refused with their cause, doubted, or as good as correct ones: a few of the script's."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SPEC = importlib.util.spec_from_file_location("wrong_measurements", Path(__file
 assert _SPEC is not None
 assert _SPEC.loader is not None
 script: Any = importlib.util.module_from_spec(_SPEC)
-sys.modules[_SPEC.name] = script  # where its dataclasses look for themselves
+sys.modules[_SPEC.name] = script  # where its dataclasses look up their module
 _SPEC.loader.exec_module(script)
 
 # of those that take a whole calibration to judge a few for each robot; of the others all
@@ -40,7 +40,7 @@ def test_the_cause_is_named(robot: str, name: str, goods: dict[str, tuple[Any, f
 
 
 def test_a_bad_text_is_refused_at_once(tmp_path: Path) -> None:
-    """Everything that the reader itself refuses: the list holds what it refused when it was written."""
+    """Everything that the reader itself refuses, as listed when this was written."""
     good = script.Good.of("pm3dof", 6)
     for name in script.REFUSED_BY_THE_READER:
         found = script.outcome(good, script.WRONG[name].spoil(good), tmp_path)

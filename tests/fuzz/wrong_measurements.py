@@ -1,7 +1,7 @@
-"""Wrong measurement files: good ones as spoiled by users, spreadsheets and instruments, and their results.
+"""Wrong measurement files: good ones with typical mistakes of users, spreadsheets and instruments, and their results.
 
 Each is a good file with one mistake. A calibration from it is refused with the cause, or goes through with a doubt
-that names it, or is as good as that from the good file: none is silently wrong.
+that names it, or is as good as with the good file: none is silently wrong.
 
     python tests/fuzz/wrong_measurements.py [--robots pm3dof hexapod ...] [--only WORD] [--poses 40] [--seed 0]
 """
@@ -52,7 +52,7 @@ Table = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Result:
-    """Tip errors of a machine, root mean square: what it misses [m], and what it should by 95 % [m]."""
+    """Tip errors of a machine, root mean square: actual [m], and stated 95 % bound [m]."""
 
     missed: float
     promise: float
@@ -60,18 +60,18 @@ class Result:
 
 @dataclass(frozen=True)
 class Good:
-    """A good file of measurements, and the machine that it is of."""
+    """A good file of measurements, and its machine."""
 
     errors: GeometricErrors
     machine: Robot
     table: Table
     other: Table
     wanted: Poses
-    zeros: Array | float = 0.0  #: what the machine's counters show when the drives stand at 0
+    zeros: Array | float = 0.0  #: the machine's counter readings with the drives at 0
 
     @classmethod
     def of(cls, name: str, poses: int, seed: int = 0) -> Good:
-        """Measure a machine of a robot; another machine of the same kind measures `other`."""
+        """Measure a machine of a robot; `other` are measurements of another machine of the same kind."""
         robot, frame = ROBOTS[name]
         rng = np.random.default_rng(seed)
         errors = GeometricErrors.load(robot, tool_frame=frame)
@@ -127,11 +127,11 @@ SpoilText = Callable[[Good], Table | str]
 
 @dataclass(frozen=True)
 class Wrong:
-    """A mistake: what it does to a good file, and what has to be said of it; nothing if the result is right."""
+    """A mistake: its effect on a good file, and the expected message, or none if the result is right."""
 
     spoil: SpoilText
     says: str = ""
-    zero: float = 0.0  #: of the first drive, where the file may be right and the machine another [m, rad]
+    zero: float = 0.0  #: of the first drive, for which the file may be right and the machine different [m, rad]
 
 
 def _xyz(table: Table) -> np.ndarray:
@@ -178,7 +178,7 @@ def _commands(change: Callable[[np.ndarray, Good], np.ndarray]) -> Spoil:
 
 
 def _negated(chosen: slice) -> Spoil:
-    """The counters of some drives count the other way, from home on."""
+    """The counters of some drives are reversed about home."""
 
     def change(commands: np.ndarray, good: Good) -> np.ndarray:
         found, home = commands.copy(), good.errors.robot.home.commands
@@ -234,7 +234,7 @@ def _with(name: str, values: Callable[[int], np.ndarray]) -> Spoil:
 
 
 def _mixed(part: float) -> Spoil:
-    """The last rows are those of another machine of the same kind."""
+    """The last rows are from another machine of the same kind."""
 
     def spoil(good: Good) -> Table:
         first = round((1.0 - part) * len(good.table["x_m"]))
@@ -248,7 +248,7 @@ def _shifted_tool(x: float, y: float, z: float) -> Spoil:
 
 
 def _stale(part: float) -> Spoil:
-    """From some row on the commands are those of the row before."""
+    """From some row, the commands are those of the previous row."""
 
     def change(commands: np.ndarray, good: Good) -> np.ndarray:
         first = round((1.0 - part) * len(commands))
@@ -518,7 +518,7 @@ LESS: dict[str, Callable[[Table], Table]] = {
     "distances": _distances,
     "targets": lambda table: _targets(table),
 }
-"""What instruments see that see less than poses."""
+"""Instruments that measure less than poses."""
 
 OF_DISTANCES: dict[str, tuple[Callable[[Table], Table], str]] = {
     "in millimetres": (lambda t: {**t, "distance_m": 1e3 * t["distance_m"]}, "distances are in millimetres"),
@@ -528,7 +528,7 @@ OF_DISTANCES: dict[str, tuple[Callable[[Table], Table], str]] = {
     "from another point": (lambda t: {**t, "cx_m": t["cx_m"] + 0.02}, "fixed points"),
     "from a point with x and y exchanged": (lambda t: {**t, "cx_m": t["cy_m"], "cy_m": t["cx_m"]}, "fixed points"),
 }
-"""Mistakes that only distances have."""
+"""Mistakes specific to distances."""
 
 OF_LESS = (
     "two drives", "cyclic drives", "one drive the other way", "all drives the other way", "one row below", "half stale",
@@ -592,9 +592,9 @@ def outcome(good: Good, spoilt: Table | str, folder: Path, method: str = "lm") -
 
 
 def verdict(wrong: Wrong, found: Outcome, best: float) -> str:
-    """Return "" if a file came out as it should, otherwise what is wrong with that.
+    """Return "" if a file has the expected outcome, otherwise what is wrong.
 
-    It should be refused or doubted with its cause, or as good as the best [m] or as it says itself.
+    It should be refused or doubted with its cause, or be as good as the best [m] or as stated.
     """
     if wrong.says and re.search(wrong.says, found.words):
         return ""
@@ -606,7 +606,7 @@ def verdict(wrong: Wrong, found: Outcome, best: float) -> str:
 
 
 def trials(good: Good, folder: Path, only: str) -> Iterator[tuple[str, str, Outcome]]:
-    """Try mistakes in whole poses: name, verdict, outcome."""
+    """Try mistakes in full poses: name, verdict, outcome."""
     best = outcome(good, good.table, folder).result.missed
     for name, wrong in WRONG.items():
         if only in name:
@@ -616,7 +616,7 @@ def trials(good: Good, folder: Path, only: str) -> Iterator[tuple[str, str, Outc
 
 
 def trials_of_less(good: Good, folder: Path, only: str) -> Iterator[tuple[str, str, Outcome]]:
-    """Try some of the mistakes with instruments that see less than poses."""
+    """Try some of the mistakes with instruments that measure less than poses."""
     for kind, less in LESS.items():
         best, of_good = good.missed().missed, outcome(good, less(good.table), folder)
         if of_good.kind != "refused":

@@ -24,7 +24,7 @@ from pm3dof_pin.viewer.page_programs import PagePrograms
 Array = NDArray[np.float64]
 
 
-# Rendering in software takes most of the time of these tests, and few of them look at pixels.
+# Software rendering takes most of the time of these tests, and few of them check pixels.
 DRAWING_ON_DEMAND = """
 for (const kind of ["drawArrays", "drawArraysInstanced", "drawElements", "drawElementsInstanced"]) {
     const draw = WebGL2RenderingContext.prototype[kind];
@@ -36,7 +36,7 @@ for (const kind of ["drawArrays", "drawArraysInstanced", "drawElements", "drawEl
 
 
 class WatchedBrowser(Browser):
-    """A browser with control of mouse and keys, and a record of the page's errors and requests."""
+    """A browser with mouse and keyboard control, and a record of the page's errors and requests."""
 
     def __init__(self, width: int, height: int) -> None:
         self.errors: list[str] = []
@@ -62,7 +62,7 @@ class WatchedBrowser(Browser):
             self.requests.append(details["url"])
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Press the mouse at one point of the page, move it to another, and let go [pixels]."""
+        """Drag the mouse from one point of the page to another [pixels]."""
         pressed = {"button": "left", "clickCount": 1}
         for kind, (x, y), details in (
             ("mouseMoved", start, {}),
@@ -74,7 +74,7 @@ class WatchedBrowser(Browser):
         self.settle()
 
     def press(self, key: str) -> None:
-        """Press a key, as "ArrowLeft", and let it go."""
+        """Press and release a key, such as "ArrowLeft"."""
         code = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}[key]
         for kind in ("keyDown", "keyUp"):
             self.ask("Input.dispatchKeyEvent", {"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code})
@@ -93,9 +93,9 @@ class Page:
         self.browser.open(url)
 
     def open_again(self, url: str) -> None:
-        """Open a page, or set it back to what it was at first if it is open already, which is quicker.
+        """Open a page, or reset it if it is already open, which is faster.
 
-        What a reader chose stays in an open page, and stands in its address some time later.
+        The user's choices remain in an open page, and appear in its URL after a while.
         """
         if self.ask("location.href") != url or self.ask("Boolean(pm3dof.choice() || pm3dof.wrench())"):
             self.open(url)
@@ -110,7 +110,7 @@ class Page:
         return self.ask(f"({function})({', '.join(json.dumps(argument) for argument in arguments)})")
 
     def matrix(self, path: str) -> Array:
-        """Where a node of the scene graph stands in the world of the machine, out of three.js itself."""
+        """World transform of a node of the scene graph, from three.js itself."""
         elements = self.call(
             """path => {
                 const object = pm3dof.node(path).object;
@@ -138,12 +138,12 @@ class Page:
         return str(self.call("key => document.querySelector(`[data-key=${key}] .values`).textContent", key))
 
     def tick(self, key: str) -> None:
-        """Click on the box of an entry of the legend."""
+        """Click on the checkbox of an entry of the legend."""
         self.call("key => document.querySelector(`[data-key=${key}] input`).click()", key)
         self.browser.settle()
 
     def drag_slider(self, name: str, place: float) -> float:
-        """Pull a slider to a place between 0 and 1 with the mouse, and return the number it then shows."""
+        """Drag a slider to a place between 0 and 1 with the mouse, and return the number it then shows."""
         left, top, width, height = self.call(
             """name => {
                 const slider = document.querySelector(`#sliders input[type=range][name="${name}"]`);
@@ -157,7 +157,7 @@ class Page:
         return self.slider(name)
 
     def slider(self, name: str) -> float:
-        """The number where a slider is [deg, m]."""
+        """The value of a slider [deg, m]."""
         return float(self.call("name => document.querySelector(`#sliders input[name='${name}']`).value", name))
 
     def picture(self) -> Array:
@@ -174,19 +174,19 @@ class Page:
 
 @pytest.fixture(scope="session")
 def load() -> Callable[[str], Robot]:
-    """Robots of the package, loaded once: what a page computes is traced once for each."""
+    """Robots of the package, loaded once: page programs are traced once for each."""
     return cache(Robot.load)
 
 
 @pytest.fixture(scope="session")
 def traced() -> dict[tuple[str, str], PagePrograms | None]:
-    """What :func:`_traced_once` keeps."""
+    """The cache of :func:`_traced_once`."""
     return {}
 
 
 @pytest.fixture(autouse=True)
 def _traced_once(traced: dict[tuple[str, str], PagePrograms | None], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Trace the programs of a page once for each robot of the package, however often tests and commands load it."""
+    """Trace the programs of a page once per robot of the package, however often tests and commands load it."""
 
     def programs_of(robot: Robot, model: ElasticModel | None = None) -> PagePrograms | None:
         key = str(robot.source), str(robot.tool_frame)

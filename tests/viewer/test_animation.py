@@ -1,4 +1,4 @@
-"""Paths: ellipsoids that turn into their neighbours by the shortest rotation, and keep their shape."""
+"""Paths: ellipsoids rotate to their neighbours by the least rotation, and keep their shape."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pm3dof_pin.viewer.animation import aligned_ellipsoids, clips
 
 
 def turning_ellipsoids() -> list[np.ndarray]:
-    """Values that change their order on the way, in axes that turn, as LAPACK returns them."""
+    """Values that change their order along the path, with rotating axes, as LAPACK returns them."""
     transforms = []
     for place in np.linspace(0.0, 1.0, 40):
         turn = pin.exp3(place * np.array([0.5, -1.0, 0.7]))
@@ -70,7 +70,7 @@ def test_bad_paths(mechanism: Robot) -> None:
 
 
 def test_a_path_says_how_far_singular_poses_are(load: Callable[[str], Robot]) -> None:
-    """A hexapod is singular where it is turned by 90 degrees (E. Fichter, 1986), its distance linear in the angle."""
+    """A hexapod is singular if turned by 90 degrees (E. Fichter, 1986); the distance is linear in the angle."""
     hexapod = load("hexapod")
     poses = [[0.0, 0.0, 0.135, 0.0, 0.0, np.radians(turn)] for turn in (0.0, 89.8, 89.9, 90.0)]
     with Viewer(hexapod) as viewer:

@@ -81,7 +81,7 @@ def test_serial_arm_with_meshes(page: Any, tmp_path: Path) -> None:
         np.testing.assert_allclose(page.matrix(f"/robot/{link}"), expected, atol=1e-9)
     lengths = np.linalg.norm(page.matrix("/ellipsoids/translation")[:3, :3], axis=0)
     np.testing.assert_allclose(np.sort(lengths) / drawn.scale, np.linalg.eigvalsh(compliance[:3, :3]), rtol=1e-9)
-    # a key moves a slider, and what was drawn with these springs goes on
+    # a key moves a slider, and items drawn with these springs are updated
     page.ask("document.querySelector('#sliders input[type=range]').focus()")
     before = page.ask("pm3dof.pose().values(pm3dof.robot().data.sets[0])")
     page.browser.press("ArrowLeft")
@@ -110,7 +110,7 @@ def test_stick_figure(page: Any, mechanism: Robot, tmp_path: Path) -> None:
 
 
 def test_a_path_is_played(page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path) -> None:
-    """At the time of a frame the bodies, ellipsoids and arrows are where that frame has them."""
+    """At the time of a frame, bodies, ellipsoids and arrows are where the frame has them."""
     model = ElasticModel(mechanism)
     angles = np.linspace(0.0, 2.0 * np.pi, 9)
     poses = np.column_stack([0.3 * np.cos(angles), 0.3 * np.sin(angles), np.full(9, 0.48)])
@@ -179,7 +179,7 @@ def test_more_drawn_with_meshcat(page: Any, mechanism: Robot, tmp_path: Path) ->
 
 @pytest.mark.parametrize("size", ["0.1 0.1 3", "3 0.1 0.1"])
 def test_all_of_it_is_in_the_picture(page: Any, write_robot: Any, tmp_path: Path, size: str) -> None:
-    """Of long and thin, and of bulky machines: no corner is cut off."""
+    """No corner is cut off, for long and thin as well as bulky machines."""
     urdf = f'<robot name="r"><link name="b"><visual><geometry><box size="{size}"/></geometry></visual></link></robot>'
     page.open(Viewer(Robot.load(write_robot(urdf))).save_html(tmp_path / "page.html").as_uri())
     whole = page.picture()
@@ -191,7 +191,7 @@ def test_all_of_it_is_in_the_picture(page: Any, write_robot: Any, tmp_path: Path
 
 
 def test_a_wrist_offers_no_stiffness(page: Any, tmp_path: Path) -> None:
-    """It is elastic in its three rotations only, so there is neither K nor C of all six motions."""
+    """It is elastic only in its three rotations, so there is neither K nor C of all six motions."""
     mechanism = Robot.load(MACHINES / "agile_eye")
     viewer = Viewer(mechanism)
     viewer.motion_ellipsoid("velocity", kind="rotation")

@@ -46,7 +46,7 @@ def test_shapes(write_robot: Write) -> None:
     assert ball.lowered["geometries"][0]["radius"] == 0.1
     shape = rod.lowered["geometries"][0]
     assert (shape["type"], shape["radiusBottom"], shape["height"]) == ("CylinderGeometry", 0.05, 1.0)
-    # three.js stands its cylinders along y; the URDF's z axis is turned to x here
+    # three.js has cylinders along y; the URDF's z axis is rotated to x here
     np.testing.assert_allclose(rod.placement[:3, :3] @ [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], atol=1e-12)
 
 
@@ -95,7 +95,7 @@ def test_fine_meshes_are_drawn_with_fewer_triangles(write_robot: Write, tmp_path
 
 
 def test_meshes_of_a_package(write_robot: Write, tmp_path: Path) -> None:
-    """package://name/... is looked for below every folder above the URDF, as in a ROS workspace."""
+    """package://name/... is searched in every folder above the URDF, as in a ROS workspace."""
     (tmp_path / "parts" / "meshes").mkdir(parents=True)
     trimesh.creation.icosphere(radius=0.1).export(tmp_path / "parts" / "meshes" / "ball.stl")
     mesh = MESH.format(file="package://parts/meshes/ball.stl")
@@ -163,7 +163,7 @@ def test_stick_figures_join_at_the_closures(robot: str) -> None:
 
 
 def test_free_joints_and_several_freedoms() -> None:
-    """A floating body and one on a ball joint: joints with several degrees of freedom."""
+    """A floating body and one on a ball joint: multi-DoF joints."""
     model = pin.Model()
     float_joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "float")
     model.addJoint(float_joint, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])), "ball")

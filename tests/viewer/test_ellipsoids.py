@@ -1,4 +1,4 @@
-"""Ellipsoids: which block they show, their axes and lengths, and round scales."""
+"""Ellipsoids: their block, axes and lengths, and round scales."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_rigid_directions_have_a_compliance_only() -> None:
 
 
 def test_the_transform_is_the_eigen_decomposition() -> None:
-    """A unit vector along a principal axis goes to the end of that semi-axis; all others onto the quadric."""
+    """A unit vector along a principal axis maps to the end of that semi-axis; all others onto the quadric."""
     b = random_stiffness(4)[:3, :3]
     position = np.array([0.1, 0.2, 0.3])
     drawn = DrawnEllipsoid.of(b, position, scale=0.01, unit="N/m")
@@ -68,7 +68,7 @@ def test_the_transform_is_the_eigen_decomposition() -> None:
 
 
 def test_flat_ellipsoids_keep_their_axes() -> None:
-    """A zero semi-axis is drawn as thin as paper, so that the page still finds the axes."""
+    """A zero semi-axis is drawn paper-thin, so that the page still finds the axes."""
     drawn = DrawnEllipsoid.of(np.diag([0.0, 1.0, 2.0]), np.zeros(3), scale=1.0, unit="")
     lengths = np.linalg.norm(drawn.transform[:3, :3], axis=0)
     np.testing.assert_allclose(lengths, [2e-6, 1.0, 2.0])

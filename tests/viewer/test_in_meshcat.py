@@ -1,4 +1,4 @@
-"""Robots drawn into a user's meshcat.Visualizer, which here records what it is sent."""
+"""Robots drawn into a user's meshcat.Visualizer, which records what it is sent."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_second_call_and_the_viewer_keep_it_current(mechanism: Robot, visualiz
 
 
 def test_arrays_are_packed_as_meshcat_packs_them(mechanism: Robot, visualizer: Any) -> None:
-    """What goes in as base64 for the page comes out of msgpack as the same bytes: the axes of an ellipsoid."""
+    """Arrays in base64 for the page become the same bytes in msgpack: the axes of an ellipsoid."""
     draw_in_meshcat(visualizer, mechanism.home)
     viewer = Viewer(mechanism)
     viewer.stiffness_ellipsoid(np.eye(6))

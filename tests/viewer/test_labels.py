@@ -1,4 +1,4 @@
-"""Names in the scene: which, where, and as pictures that carry their own data."""
+"""Labels in the scene: which, where, and as self-contained pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which bodies get which springs' colours."""
+"""The springs whose colours bodies get."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ MACHINES = Path(__file__).parents[1] / "machines"
 ROBOTS = ("pm3dof", "hexapod", "three_rps", "delta", "five_bar", "four_bar", "ur5")
 WRENCH = [1.0, -2.0, 3.0, 0.1, 0.2, -0.3]
 
-# for rows of values of a set: what the page shows there, each reached from home
+# for rows of values of a set: the page's display there, each reached from home
 SCRIPT = """
 const robot = new Robot(data, programs);
 const plain = (key, value) => typeof value === "number" && !Number.isFinite(value) ? String(value) : value;
@@ -133,7 +133,7 @@ def test_sliders_place_every_body_where_pinocchio_does(name: str, number: int) -
     reached = np.array([answer is not None for answer in answers])
     assert reached.sum() >= 0.9 * solve(values, on_failure="nan").solved.sum()
     assert reached.sum() >= 12
-    places = np.flatnonzero(reached)[:16]  # the Pinocchio engine is slow, most of all out of reach
+    places = np.flatnonzero(reached)[:16]  # the Pinocchio engine is slow, especially out of reach
     expected = solve(values[places], on_failure="nan", engine="pinocchio")
     assert expected.solved.sum() >= 0.9 * len(places)
     for place, index in enumerate(places):
@@ -204,7 +204,7 @@ def test_a_pose_beyond_reach_is_not_found() -> None:
 
 
 def test_principal_axes() -> None:
-    """Jacobi's rotations on matrices of all kinds, equal values and large ratios among them, beside LAPACK."""
+    """Jacobi rotations on matrices of all kinds, including equal values and large ratios, against LAPACK."""
     generator = np.random.default_rng(5)
     blocks = []
     for values in (

@@ -1,4 +1,4 @@
-"""User actions in the page of any robot: choose ellipsoids and loads, drag bodies, follow paths and links."""
+"""User actions in the page of any robot: select ellipsoids and loads, drag bodies, follow paths and links."""
 
 from __future__ import annotations
 
@@ -57,20 +57,20 @@ def shown(page: Any, saved: Path) -> Iterator[Any]:
 
 
 def point_of(page: Any, joint: int, local: list[float]) -> np.ndarray:
-    """Where a point of a joint's body is in the displayed pose [m]."""
+    """Position of a point of a joint's body at the displayed pose [m]."""
     rows = np.array(page.ask(f"pm3dof.pose().rows({joint})"))
     return np.asarray(rows[:, :3] @ local + rows[:, 3])
 
 
 def principal(page: Any, motion: str) -> tuple[np.ndarray, np.ndarray]:
-    """The numbers of an ellipsoid, and the sum of the squares of its drawn semi-axes' directions, as a matrix."""
+    """The numbers of an ellipsoid, and its matrix, the sum of the outer products of its drawn semi-axes."""
     entry = page.call("key => pm3dof.panel().legend.find(entry => entry.key === key)", motion)
     drawn = page.matrix(f"/ellipsoids/{motion}")[:3, :3] / entry["live"]["scale"]
     return np.array(entry["principal"]), drawn @ drawn.T
 
 
 def by_finite_differences(robot: Robot) -> np.ndarray:
-    """Twists of the tool for one unit of each command, shape=(6, 6), from poses that forward kinematics gives."""
+    """Twists of the tool for one unit of each command, shape=(6, 6), from forward kinematics."""
     pose = robot.solve(POSE)
     columns = []
     for k in range(len(robot.commands)):
@@ -98,7 +98,7 @@ def test_velocity_and_force_ellipsoids_are_those_of_the_jacobian(
 
 
 def test_error_ellipsoid_is_that_of_displaced_machines(shown: Any, hexapod: Robot) -> None:
-    """Each part of the error file is displaced for itself, both ways, and the pose at the same commands compared."""
+    """Each part of the error file is displaced separately, both ways, and the poses at the same commands compared."""
     errors = GeometricErrors.load("hexapod")
     pose = hexapod.solve(POSE)
     covariance = np.zeros((3, 3))
@@ -212,7 +212,7 @@ def test_a_path_is_gone_to_and_plotted(shown: Any, hexapod: Robot) -> None:
 
 
 def test_a_playing_path_brings_what_was_chosen_along(shown: Any, hexapod: Robot) -> None:
-    """Ellipsoid, number in the panel and number beside the axis are those of the compliance at the frame."""
+    """The ellipsoid and the numbers in the panel and at the axis are those of the compliance at the frame."""
     shown.ask("pm3dof.choose('compliance', 'free')")
     animator = "pm3dof.viewer.animator"
     shown.ask(f"({animator}.pause(), {animator}.time = {animator}.duration, {animator}.seek({animator}.duration))")

@@ -59,6 +59,6 @@ def test_the_page_fits_and_is_readable(sized: Any, load: Callable[[str], Robot],
 
 
 def luminance(colour: str) -> float:
-    """Relative luminance of a colour as the browser writes it, near enough: rgb(…) or rgba(…)."""
+    """Approximate relative luminance of a colour in the browser's notation: rgb(…) or rgba(…)."""
     red, green, blue = (float(part) / 255.0 for part in colour[colour.index("(") + 1 : -1].split(",")[:3])
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue

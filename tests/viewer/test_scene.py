@@ -1,4 +1,4 @@
-"""The tree of commands: what a late page receives, and what is forwarded meanwhile."""
+"""The tree of commands: what a late page receives, and what is forwarded."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def test_a_snapshot_says_everything_once() -> None:
         ("set_property", "/a"),
     ]
     by_kind = {command["type"]: command for command in snapshot["commands"]}
-    assert by_kind["set_transform"]["matrix"][12] == 2.0  # column after column: the translation comes last
+    assert by_kind["set_transform"]["matrix"][12] == 2.0  # column by column: the translation comes last
     assert by_kind["set_property"]["value"] is False
 
 
 def test_objects_come_before_their_properties() -> None:
-    """Properties of an object that is put anew would be lost if they came first."""
+    """Properties of a replaced object would be lost if they came first."""
     scene = Scene()
     scene.set_object("/a", ball(), casts_shadow=False)
     scene.set_object("/b", ball())
@@ -73,7 +73,7 @@ def test_a_listener_hears_what_comes_after_its_snapshot() -> None:
 
 
 def test_numbers_go_through_json_unchanged() -> None:
-    """Every bit of a transform arrives in the page."""
+    """Transforms arrive in the page bit for bit."""
     matrix = np.random.default_rng(0).normal(size=(4, 4))
     scene = Scene()
     scene.set_transform("/a", matrix)
@@ -82,7 +82,7 @@ def test_numbers_go_through_json_unchanged() -> None:
 
 
 def test_a_page_needs_nothing_else() -> None:
-    """No address but the name of a namespace stands in it, and data cannot end its own element."""
+    """It contains no URL except a namespace, and data cannot end its own element."""
     scene = Scene()
     scene.set_object("/</script><b>", ball())
     page = page_html(scene.snapshot(), title="<a & b>", served=False)

@@ -28,7 +28,7 @@ def opened(page: Any, viewer: Viewer) -> None:
     page.ask(CONNECTED)
 
 
-# resolves once the page has got the scene over its socket and made its sliders
+# resolves once the page has received the scene over its socket and made its sliders
 CONNECTED = """new Promise(done => {
     const isMade = () => pm3dof.panel().legend && document.querySelector("#sliders input[type=range]");
     const look = () => isMade() ? done(true) : setTimeout(look, 20);
@@ -72,7 +72,7 @@ def test_what_is_drawn_later_appears(page: Any, viewer: Viewer, mechanism: Robot
 
 
 def test_the_sliders_live_in_the_served_page_too(page: Any, viewer: Viewer, mechanism: Robot, tripod: Tripod) -> None:
-    """With the server and when it has ended; no request leaves the machine."""
+    """With the server and after it has ended; no request leaves the machine."""
     opened(page, viewer)
     address = viewer.start()
     assert set(page.browser.requests) == {address, f"{address.replace('http', 'ws')}socket"}

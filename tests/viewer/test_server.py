@@ -62,7 +62,7 @@ def test_it_listens_on_loopback_only(viewer: Viewer) -> None:
 
 
 def test_other_addresses_of_this_machine_are_refused(viewer: Viewer) -> None:
-    """127.0.0.2 is loopback too, but not the address that is listened on."""
+    """127.0.0.2 is also loopback, but not the address of the server."""
     port = port_of(viewer.start())
     with pytest.raises(ConnectionRefusedError), socket.create_connection(("127.0.0.2", port), timeout=2.0):
         pass
@@ -101,7 +101,7 @@ def test_a_taken_port(viewer: Viewer, mechanism: Robot) -> None:
     ):
         other.start()
     with Viewer(mechanism) as third:
-        assert port_of(third.start()) != port  # without a wish, the next free one
+        assert port_of(third.start()) != port  # by default, the next free one
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no such host.invalid"])
@@ -124,7 +124,7 @@ def test_the_page_and_nothing_else(viewer: Viewer) -> None:
 
 @pytest.mark.parametrize(("origin", "status"), [("http://elsewhere.example", 403), (None, 101)])
 def test_other_sites_cannot_listen_in(viewer: Viewer, origin: str | None, status: int) -> None:
-    """A page of another origin in the same browser may ask for the socket, and is refused."""
+    """A page of another origin in the same browser may request the socket, and is refused."""
     url = viewer.start()
     headers = {
         "Connection": "Upgrade",
@@ -163,7 +163,7 @@ def test_a_change_reaches_an_open_page(viewer: Viewer) -> None:
 )
 @pytest.mark.parametrize("page", ["/", "/socket"])
 def test_only_own_names_are_answered(viewer: Viewer, page: str, host: str, status: int) -> None:
-    """Another site's name may resolve to this machine; the browser then still sends that name."""
+    """Another site's name may resolve to this machine; the browser still sends that name."""
     url = viewer.start()
     connection = http.client.HTTPConnection("127.0.0.1", port_of(url), timeout=5.0)
     with contextlib.closing(connection):

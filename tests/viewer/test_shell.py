@@ -1,4 +1,4 @@
-"""The shell around the workspace: a closed surface, its points on the boundary, its values those of the maps."""
+"""The shell of the workspace: a closed surface, with points on the boundary and values of the maps."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_its_values_are_the_stiffness_there(shell: _Shell, tripod: Tripod) -> No
 
 
 def test_points_inside_are_within_the_limits(shell: _Shell, tripod: Tripod) -> None:
-    """And have the values of their own poses, in every layer that the page offers."""
+    """Points have the values of their own poses, in every layer that the page offers."""
     assert len(shell.points) > 500
     poses = poses_of(shell.points)
     assert np.all(limit_flags(tripod, poses) == 0)

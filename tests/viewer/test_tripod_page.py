@@ -1,4 +1,4 @@
-"""The page with the tripod in a real browser: its scene graph, before and after a slider is moved."""
+"""The page of the tripod in a real browser: its scene graph, before and after a slider is moved."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def at_pose(mechanism: Robot, tripod: Tripod, theta_x: float, theta_y: float, z_
 
 
 def drawn_everything(mechanism: Robot, tripod: Tripod, where: Configuration, **options: Any) -> Viewer:
-    """A viewer with all that the page can continue, drawn from the general engine."""
+    """A viewer with all items that the page can update, drawn from the general engine."""
     viewer = Viewer(mechanism)
     model = ElasticModel(mechanism)
     viewer.display(where)
@@ -58,7 +58,7 @@ def saved(mechanism: Robot, tripod: Tripod, tmp_path_factory: pytest.TempPathFac
 
 @pytest.fixture
 def shown(page: Any, saved: Path) -> Iterator[Any]:
-    """The page of the tripod at (10 deg, -15 deg, 0.5 m); nothing may go wrong in it, and nothing leave the machine."""
+    """The page of the tripod at (10 deg, -15 deg, 0.5 m), without errors or requests that leave the machine."""
     page.open_again(saved.as_uri())
     yield page
     assert page.browser.errors == []
@@ -78,14 +78,14 @@ def assert_ellipsoid(matrix: np.ndarray, block: np.ndarray, scale: float, centre
 
 
 def assert_machine(page: Any, where: Configuration) -> None:
-    """Every body stands where Pinocchio puts it."""
+    """Every body is where Pinocchio has it."""
     for body in BODIES:
         expected = where.frame_placement(body).homogeneous
         np.testing.assert_allclose(page.matrix(f"/robot/{body}"), expected, rtol=0, atol=1e-9, err_msg=body)
 
 
 def test_pictures_are_not_empty(page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path) -> None:
-    """Hiding the machine, and an ellipsoid, changes what is seen; the machine fills the picture."""
+    """Hiding the machine, and an ellipsoid, changes the picture; the machine fills it."""
     viewer = drawn_everything(mechanism, tripod, at_pose(mechanism, tripod, -25.0, 20.0, 0.46))
     page.open(viewer.save_html(tmp_path / "page.html").as_uri())
     whole = page.picture()
@@ -150,7 +150,7 @@ def test_what_python_displays(shown: Any, mechanism: Robot, tripod: Tripod, mode
 
 
 def test_a_slider_moves_the_machine(shown: Any, mechanism: Robot, tripod: Tripod, model: ElasticModel) -> None:
-    """Dragged with the mouse; the machine, its ellipsoids, forces and colours then are those of the general engine."""
+    """Dragged with the mouse: the machine, its ellipsoids, forces and colours are then those of the general engine."""
     theta_x = shown.drag_slider("theta_x", 0.33)
     z_e = shown.drag_slider("z_e", 0.4)
     assert -30.0 < theta_x < -15.0
@@ -177,7 +177,7 @@ def test_a_slider_moves_the_machine(shown: Any, mechanism: Robot, tripod: Tripod
 
 
 def test_leg_colours(shown: Any) -> None:
-    """The box of the legend takes the colours away; the legs' own come back."""
+    """The checkbox of the legend removes the colours; the legs' own return."""
     slider, link = "/robot/slider1/visual/slider1_0", "/robot/link1/visual/link1_0"
     coloured = shown.colour(slider)
     np.testing.assert_allclose(shown.colour(link), coloured, atol=1e-6)
@@ -212,7 +212,7 @@ def test_a_broken_limit_is_named(shown: Any, mechanism: Robot, tripod: Tripod) -
 
 
 def test_out_of_reach_is_said_and_nothing_moves(shown: Any) -> None:
-    """Where a link does not meet its guideway: the sliders' corner, moved far up."""
+    """Where a link does not reach its guideway: the corner of the slider ranges, moved far up."""
     shown.drag_slider("theta_x", 0.999)
     shown.drag_slider("theta_y", 0.999)
     before = shown.matrix("/robot/platform")
@@ -253,7 +253,7 @@ def test_another_kind_of_ellipsoid_goes_on(
 def test_what_is_not_the_machines_own_is_left_behind(
     page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path
 ) -> None:
-    """An ellipsoid of other springs, and forces of another load, are of their pose only: hidden when a slider moves."""
+    """An ellipsoid of other springs, and forces of another load, belong to their pose: hidden when a slider moves."""
     viewer = Viewer(mechanism)
     viewer.stiffness_ellipsoid(np.diag([1e6, 2e6, 3e6, 1e4, 2e4, 3e4]))
     viewer.actuator_forces([10.0, 10.0, 10.0])
@@ -266,7 +266,7 @@ def test_what_is_not_the_machines_own_is_left_behind(
 
 
 def test_workspace_in_the_page(page: Any, mechanism: Robot, tmp_path: Path) -> None:
-    """The tip of the drawn tool is where the formula puts it, at a slider's pose too, and the box hides the shell."""
+    """The tip of the drawn tool follows the formula, also after moving a slider; the checkbox hides the shell."""
     from pm3dof_pin.viewer.shell import _tool_tips
 
     viewer = Viewer(mechanism)

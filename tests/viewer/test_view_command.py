@@ -31,7 +31,7 @@ Run = Callable[..., Any]
 
 @pytest.fixture
 def run(run: Run) -> Run:
-    """The command in this process: where it does not serve."""
+    """The command in this process, when it does not serve."""
     return partial(run, "view")
 
 
@@ -178,7 +178,7 @@ def test_a_page_of_a_pose_beyond_a_limit(run: Run, tmp_path: Path) -> None:
 
 @pytest.mark.browser
 def test_a_planar_mechanism_has_ellipsoids_of_the_velocity(run: Run, tmp_path: Path) -> None:
-    """Its stiffness is that of its free motions: there is no ellipsoid of three."""
+    """Its stiffness is that of its free motions: there is no three-dimensional ellipsoid."""
     planar = Path(__file__).parents[1] / "machines" / "five_bar" / "five_bar.urdf"
     result = run("--robot", str(planar), "--html", "page.html", cwd=tmp_path)
     assert result.returncode == 0
@@ -224,7 +224,7 @@ def test_the_path_it_plays(run: Run, page: Any, tmp_path: Path) -> None:
 
 @pytest.mark.browser
 def test_the_picture_it_takes(run: Run, page: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Taken by the browser of the tests; that of the viewer starts one of its own for its picture."""
+    """Taken by the tests' browser; the viewer would start its own."""
     from matplotlib.image import imread
 
     from pm3dof_pin.viewer import browser

@@ -1,4 +1,4 @@
-"""The viewer's own rules: what belongs to a configuration, what the page can update, files, and bad input."""
+"""The viewer's rules: items of a configuration, items that the page can update, files, and invalid input."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_another_configuration_takes_away_what_belonged_to_the_last(mechanism: R
 
 
 def test_only_the_machines_own_goes_on(mechanism: Robot) -> None:
-    """The page continues the elastic stiffness, holding forces and shares of the machine itself, and nothing else."""
+    """The page updates elastic stiffness, holding forces and shares of the machine itself, and nothing else."""
     from pm3dof_pin.dynamics.statics import holding_forces
 
     viewer = Viewer(mechanism)
@@ -124,7 +124,7 @@ def test_a_picture_is_written(browser: Any, mechanism: Robot, tmp_path: Path) ->
 
 @pytest.mark.browser
 def test_errors_of_a_page_are_seen(browser: Any, tmp_path: Path) -> None:
-    """The tests' own checks: errors and requests of a page are detected."""
+    """The checks of these tests: errors and requests of a page are detected."""
     (tmp_path / "bad.html").write_text(
         "<script>console.error('one', 2); fetch('http://192.0.2.1/three').catch(() => 0); nothing.at.all</script>"
     )
@@ -141,7 +141,7 @@ def test_errors_of_a_page_are_seen(browser: Any, tmp_path: Path) -> None:
 
 
 def test_loops_that_are_open_are_shown_as_they_are(mechanism: Robot) -> None:
-    """Joints put together by hand: nothing is continued, and the page says how far the loops are open."""
+    """Joint values set by hand: nothing is updated, and the page says how far the loops are open."""
     q = np.array(mechanism.home.q)
     q[mechanism.q_names.index("slider1_joint")] += 0.03
     viewer = Viewer(mechanism)
@@ -169,7 +169,7 @@ def test_a_path_ends_when_something_else_is_displayed(mechanism: Robot) -> None:
 
 @pytest.mark.browser
 def test_a_turntable_goes_around(browser: object, mechanism: Robot, tmp_path: Path) -> None:
-    """Each picture is another one, in the machine's own colours; the floor and the panel are not in it."""
+    """The pictures differ, in the machine's own colours, without floor and panel."""
     from PIL import Image
 
     target = Viewer(mechanism, sliders=False).save_turntable(tmp_path / "turn.gif", width=200, height=160, count=3)
