@@ -33,7 +33,8 @@ from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Mask
 
 _EXPLAINS = 0.25  # greatest remaining fraction of the misfit
-_HALF = 0.5  # likewise, if the rest needs no mistake to explain it
+_HALF = 0.5  # likewise, if the rest can be the machine's own error
+_OWN = 2.0  # times the usual error of a machine: up to here it can be that of this machine, at the worse rows
 _AS_WELL = 4.0  # times the rest of the best explanation, if that leaves too much: up to here, simpler ones win
 _EQUAL = 1.001  # times: the same mistake in other words
 _ALIKE = 1.5  # times the rest of another: not distinguishable from it
@@ -92,7 +93,7 @@ def likely_cause(
                 after = _misfit(without, poses, eta, own_frame or mistake.free)
             except PM3DofError:
                 continue
-            if after < _EXPLAINS * most or after < min(least, _HALF * before):
+            if after < _EXPLAINS * most or after < min(_OWN * least, _HALF * before):
                 found.append(_Cause(mistake.text, before, after))
         best = min((cause.after for cause in found), default=0.0)
         return next((cause for cause in found if cause.after <= _EQUAL * best), None)
@@ -109,7 +110,7 @@ def likely_cause(
         return replace(first, text=", or ".join([first.text, *others[:_OTHERS]]))
 
     whole = simplest(usual_mistakes(measurements, nominal, eta), alike)
-    if whole is not None and whole.after <= least:
+    if whole is not None and whole.after <= _OWN * least:
         return whole
     # positions or orientations as a whole say little if the machine itself could be as far off
     kinds = itertools.islice(wrong_columns(measurements, nominal, eta), None if before > _MUCH * least else 1)

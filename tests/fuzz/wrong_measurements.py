@@ -90,14 +90,21 @@ class Good:
         """Columns of the commands."""
         return command_columns(self.errors.robot)
 
-    def missed(self, compensation: Compensation | None = None) -> Result:
-        """Return the true machine's error when driven by a calibration, or as described, and the stated bound."""
+    def missed(self, compensation: Compensation | None = None, *, by_targets: bool = False) -> Result:
+        """Return the true machine's error when driven by a calibration, or as described, and the stated bound.
+
+        Targets known to a millimetre define the tool: a displacement common to all poses, in its axes, does not count.
+        """
         commands, promise = self.wanted.commands, 0.0
         if compensation is not None:
             answer = compensation.compensate(self.wanted, on_failure="nan")
             commands, promise = answer.commands, float(np.sqrt(np.mean(answer.error_bound**2)))
         reached = self.machine.forward(commands - self.zeros, guess=self.wanted.q, on_failure="nan")
-        off = tip_error(pose_difference(self.wanted.transforms, reached.transforms))
+        difference = pose_difference(self.wanted.transforms, reached.transforms)
+        if by_targets:
+            own = np.einsum("nji,nkj->nki", self.wanted.rotations, difference.reshape(-1, 2, 3))
+            difference = (own - own.mean(axis=0)).reshape(-1, 6)
+        off = tip_error(difference)
         return Result(float(np.sqrt(np.mean(off**2))) if np.isfinite(off).all() else np.inf, promise)
 
 
@@ -588,7 +595,11 @@ def outcome(good: Good, spoilt: Table | str, folder: Path, method: str = "lm") -
                 raise CalibrationRefusedError(reasons)
         except PM3DofError as error:
             return Outcome("refused", " | ".join([*said, str(error)]))
-    return Outcome("doubted" if said else "accepted", " | ".join(said), good.missed(calibration.compensation))
+    return Outcome(
+        "doubted" if said else "accepted",
+        " | ".join(said),
+        good.missed(calibration.compensation, by_targets="px_m" in spoilt),
+    )
 
 
 def verdict(wrong: Wrong, found: Outcome, best: float) -> str:
