@@ -180,7 +180,7 @@ def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
         lower, upper = (f"{factor * end:.4g}" for end in robot.range_of(coordinate))
         limits = "" if "inf" in lower + upper else f" {lower} .. {upper}"
         words.append(f"{coordinate.name}{limits} [{unit}]")
-    return f"{robot.name} takes {', '.join(words)}"
+    return f"{robot.name} takes {', '.join(words)}" if words else f"{robot.name} has no actuated joints, so none"
 
 
 def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayLike) -> None:

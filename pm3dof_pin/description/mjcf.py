@@ -228,6 +228,8 @@ class _Reader:
         if kind in ("hinge", "slide") and ends:
             unit = math.radians(1.0) if kind == "hinge" and self.degrees else 1.0
             limits = (unit * ends[0], unit * ends[-1])
+        elif kind == "ball" and any(ends) and not unlimited:
+            _logger.warning("%s: the range of ball joint '%s' is ignored", self.path, joint.get("name"))
         self.joints[joint.attrib["name"]] = _JointSettings(stiffness, unlimited, limits)
 
     def _equalities(self) -> Iterator[EqualityConstraint]:

@@ -50,6 +50,7 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
         margin: part of each coordinate's range to exclude at either end.
 
     Raises:
+        ConvergenceError: the loops do not close at home.
         UnreachablePoseError: hardly any pose was found within the limits, or nothing moves.
         InvalidValueError: the margin is not between 0 and 0.5, or the count is not an integer.
     """
@@ -76,6 +77,7 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
             batch = min(_MOST_DRAWS * count, int((count - len(found)) * drawn / len(found)) + _TRIAL)
             found = np.concatenate([found, draws.within_limits(batch, generator)])
             drawn += batch
+    robot.assemble()  # says so if the loops are open at home
     raise UnreachablePoseError(f"{robot.name}: hardly any random pose is within all joint limits")
 
 

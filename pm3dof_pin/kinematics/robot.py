@@ -302,6 +302,10 @@ class Robot(Mechanism):
         result = assemble(self, self.home if guess is None else guess, joints=joints)
         if not result.converged:
             advice = "try a guess closer to an assembled configuration"
+            if guess is None:
+                advice = (
+                    "define a configuration 'home' near an assembled one; pm3dof info names the loops that are open"
+                )
             raise ConvergenceError("closing the loops", result.residual, "m or rad", result.steps, advice)
         return result.configuration
 

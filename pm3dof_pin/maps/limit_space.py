@@ -92,8 +92,10 @@ def robot_space(
     By default the first ones, with those of equal units in the sections; others are at home unless fixed [m, rad].
 
     Raises:
-        InvalidValueError: an unknown coordinate, or fewer than two or more than three.
+        InvalidValueError: an unknown coordinate, fewer than two or more than three, or unbounded ones.
+        ConvergenceError: the loops do not close at home.
     """
+    robot.assemble()  # at home, where searches start
     chosen = names or _default_names(robot)
     if not _PLANE <= len(set(chosen)) == len(chosen) <= _MOST_COORDINATES:
         raise InvalidValueError(
@@ -173,22 +175,22 @@ def _default_names(robot: Robot) -> tuple[str, ...]:
 
 
 def _wide_enough(space: LimitSpace, level: float, half_level: float) -> LimitSpace:
-    """Widen a space until no pose around it is within the limits."""
+    """Widen a space until no pose around it is within the limits; InvalidValueError if they have no end."""
     azimuths = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     radii, up = np.array([0.0, 0.25, 0.5, 0.75, 1.0]), np.array([-1.0, 1.0])
-    while space.reach < _FARTHEST:
+    while True:
         levels = np.linspace(*space.level_range, _LEVELS)[:, None]
         ring = space.points(np.full((_LEVELS, _DIRECTIONS), space.reach), azimuths)
         wide = bool(space.within(ring, levels).any())
         discs = space.points(space.reach * radii[:, None], azimuths)
-        caps = level + up * (space.level_range[1] - level)
-        high = space.stacked and any(bool(space.within(discs, end).any()) for end in caps)
+        tall = space.level_range[1] - level
+        high = space.stacked and any(bool(space.within(discs, level + end * tall).any()) for end in up)
         if not wide and not high:
-            break
-        tall = (space.level_range[1] - level) * (1.5 if high else 1.0)
+            return space
+        if space.reach > _FARTHEST or tall > _FARTHEST * half_level > 0.0:
+            expected = f"coordinates of {space.machine} that joint limits or its reach bound (--coordinate)"
+            raise InvalidValueError("coordinates", ", ".join(space.names), expected)
+        tall *= 1.5 if high else 1.0
         space = replace(
             space, reach=space.reach * (1.5 if wide else 1.0), level_range=(float(level - tall), float(level + tall))
         )
-        if tall > _FARTHEST * half_level > 0.0:
-            break
-    return space

@@ -48,6 +48,7 @@ _LIMITS = {
 _BALL = (("", "x", "revolute"), ("_y", "y", "revolute"), ("_z", "z", "revolute"))
 _SIMPLE_JOINTS = {
     "Spherical": _BALL,
+    "Planar": (("", "x", "prismatic"), ("_along_y", "y", "prismatic"), ("_about_z", "z", "revolute")),
     "FreeFlyer": (
         ("", "x", "prismatic"),
         ("_along_y", "y", "prismatic"),
@@ -307,16 +308,18 @@ def _named_configurations(mechanism: Mechanism, files: RobotFiles, floating: boo
 def _joint_values(mechanism: Mechanism, q: Vector, floating: bool) -> Iterator[tuple[str, Vector]]:
     for name, joint in list(zip(mechanism.model.names, mechanism.model.joints, strict=True))[1:]:
         values = q[joint.idx_q : joint.idx_q + joint.nq]
-        kind = joint.shortname()
-        if "Spherical" in kind or ("FreeFlyer" in kind and not floating):
+        kind = next((known for known in _SIMPLE_JOINTS if known in joint.shortname()), "")
+        if not kind or (kind == "FreeFlyer" and floating):
+            yield name, np.asarray(values)
+            continue
+        if kind == "Planar":
+            numbers = [*values[:2], math.atan2(values[3], values[2])]
+        else:
             turn = pin.Quaternion(np.array(values[-4:])).toRotationMatrix()
             # R = Rx(a) Ry(b) Rz(c), and its transpose is Rz(-c) Ry(-b) Rx(-a)
-            angles = [-angle for angle in _roll_pitch_yaw(turn.T)]
-            parts = _SIMPLE_JOINTS["Spherical" if "Spherical" in kind else "FreeFlyer"]
-            for (suffix, _, _), value in zip(parts, [*values[:-4], *angles], strict=True):
-                yield name + suffix, np.array([value])
-        else:
-            yield name, np.asarray(values)
+            numbers = [*values[:-4], *(-angle for angle in _roll_pitch_yaw(turn.T))]
+        for (suffix, _, _), value in zip(_SIMPLE_JOINTS[kind], numbers, strict=True):
+            yield name + suffix, np.array([value])
 
 
 def _roll_pitch_yaw(rotation: Matrix) -> tuple[float, float, float]:

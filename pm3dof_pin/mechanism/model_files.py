@@ -46,8 +46,8 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
         raise DescriptionError(urdf, "URDF", f"expected a robot that urdfdom accepts ({reason})") from error
     for line in complaints:
         _logger.warning("%s: %s", urdf, line)
-    if root.find("joint/mimic") is not None:
-        _logger.warning("%s: <mimic> is ignored: these joints are treated as independent", urdf)
+    if mimicking := [joint.get("name", "") for joint in root.findall("joint") if joint.find("mimic") is not None]:
+        _logger.warning("%s: <mimic> is ignored: %s are treated as independent", urdf, ", ".join(mimicking))
     return with_joint_types(model, joint_types, source) if joint_types else model
 
 

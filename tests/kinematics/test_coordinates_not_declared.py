@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.limit_space import robot_space
 
 MACHINES = Path(__file__).parents[1] / "machines"
 LINK = 0.35  # both links of a leg [m]
@@ -72,3 +73,32 @@ def test_random_poses_are_drawn_over_coordinates(four_rrr: Robot) -> None:
     poses = reachable_poses(four_rrr, 50, np.random.default_rng(0))
     assert poses.within_limits.all()
     assert np.ptp(poses.coordinates, axis=0).min() > 0.1
+
+
+def test_a_workspace_without_ends_is_refused(tmp_path: Path) -> None:
+    joint = '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{0}"/><axis xyz="0 0 1"/></joint>'
+    parts = [f'<link name="{name}"/>' for name in ("base", "a", "b")] + [
+        joint.format("a", "base"),
+        joint.format("b", "a"),
+    ]
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm">{"".join(parts)}</robot>')
+    with pytest.raises(
+        InvalidValueError, match="a, b: expected coordinates of arm that joint limits or its reach bound"
+    ):
+        robot_space(Robot.load(tmp_path / "arm.urdf"))
+
+
+def test_loops_that_do_not_close_are_what_random_poses_lack(tmp_path: Path) -> None:
+    """Arms of 0.1 m from pivots 1 m apart."""
+    joint = (
+        '<link name="{0}"/><joint name="{0}" type="revolute"><parent link="base"/><child link="{0}"/>'
+        '<origin xyz="{1} 0 0"/><axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+        '<link name="{0}_end"/><joint name="{0}_tip" type="fixed"><parent link="{0}"/>'
+        '<child link="{0}_end"/><origin xyz="0 0.1 0"/></joint>'
+    )
+    (tmp_path / "far.urdf").write_text(
+        f'<robot name="far"><link name="base"/>{joint.format("a", 0)}{joint.format("b", 1)}</robot>'
+    )
+    (tmp_path / "far.closures.yaml").write_text("closed_loop: [[a_end, b_end]]\ntype: [3d]\nname_mot: [a]\n")
+    with pytest.raises(ConvergenceError, match="pm3dof info names the loops that are open"):
+        reachable_poses(Robot.load(tmp_path), 5, np.random.default_rng(0))

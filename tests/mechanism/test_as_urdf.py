@@ -107,6 +107,30 @@ def test_a_mechanism_made_by_hand_has_no_files() -> None:
         as_urdf(Robot(pin.buildSampleModelManipulator()))
 
 
+def test_a_planar_joint_as_slides_and_a_hinge(tmp_path: Path) -> None:
+    (tmp_path / "cart.urdf").write_text(
+        """<robot name="cart"><link name="floor"/><link name="cart"/><link name="arm"/><link name="tip"/>
+        <joint name="drive" type="planar"><parent link="floor"/><child link="cart"/><axis xyz="0 0 1"/></joint>
+        <joint name="arm" type="continuous"><parent link="cart"/><child link="arm"/><origin xyz="0.1 0 0.2"/></joint>
+        <joint name="end" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="0 0.3 0.4"/></joint>
+        </robot>"""
+    )
+    x, y, heading, turn = 0.3, -0.4, 2.0, 0.7
+    states = {"drive": f"{x} {y} {np.cos(heading)} {np.sin(heading)}", "arm": f"{np.cos(turn)} {np.sin(turn)}"}
+    joints = "".join(f'<joint name="{name}" value="{value}"/>' for name, value in states.items())
+    (tmp_path / "cart.srdf").write_text(
+        f'<robot name="cart"><group_state name="parked" group="all">{joints}</group_state></robot>'
+    )
+    robot = Robot.load(tmp_path / "cart.urdf", tool_frame="tip")
+    plain = Robot.load(as_urdf(robot, floating=False).urdf)
+    assert list(plain.model.names)[1:] == ["drive", "drive_along_y", "drive_about_z", "arm"]
+    found = plain.configuration(plain.named_configurations["parked"]).tool_placement.translation
+    side, up = 0.3 * np.cos(turn), 0.2 + 0.3 * np.sin(turn) + 0.4 * np.cos(turn)  # the arm turns about the x axis
+    side -= 0.4 * np.sin(turn)
+    expected = [x + 0.1 * np.cos(heading) - side * np.sin(heading), y + 0.1 * np.sin(heading) + side * np.cos(heading)]
+    np.testing.assert_allclose(found, [*expected, up], atol=1e-12)
+
+
 def test_a_free_joint_as_slides_and_hinges(tmp_path: Path) -> None:
     (tmp_path / "box.xml").write_text(
         """<mujoco model="box"><worldbody><body name="box" pos="0.1 0.2 0.3" euler="20 30 40"><freejoint name="free"/>
