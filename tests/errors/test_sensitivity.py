@@ -36,8 +36,8 @@ def _differences(errors: GeometricErrors, poses: Poses, values: np.ndarray, chos
 
 
 def _some(errors: GeometricErrors) -> slice:
-    """All parameters of small robots; of six equal legs every fifth, which is another of the six of a place each."""
-    return slice(None, None, 5 if len(errors) > 100 else 1)
+    """All parameters of small robots; of others every fifth, which is another of the six of a place each time."""
+    return slice(None, None, 5 if len(errors) > 60 else 1)
 
 
 def test_errors_against_finite_differences(case: Poses) -> None:
