@@ -169,6 +169,16 @@ def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workspace_errors, "workspace_errors", partial(workspace_errors.workspace_errors, points=7))
 
 
+@pytest.fixture(scope="module")
+def few_folds() -> Iterator[None]:
+    """Hide measurements by thirds instead of fifths where how good a calibration is, is not the question."""
+    from pm3dof_pin.calibration import judging
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(judging, "_FOLDS", 3)
+        yield
+
+
 @pytest.fixture(scope="session")
 def tripod() -> Tripod:
     """The chapter's machine in closed form."""

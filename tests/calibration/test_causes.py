@@ -21,6 +21,8 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 
+pytestmark = pytest.mark.usefixtures("few_folds")
+
 MIRROR = np.diag([1.0, -1.0, 1.0])
 TURN = pin.exp3(np.array([0.02, 0.0, 0.0]))
 

@@ -24,7 +24,7 @@ from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine
 MACHINES = Path(__file__).parents[1] / "machines"
 
 
-pytestmark = pytest.mark.usefixtures("small_networks")
+pytestmark = pytest.mark.usefixtures("small_networks", "few_folds")
 
 Run = Callable[..., Any]
 Answer = Callable[..., dict[str, Any]]

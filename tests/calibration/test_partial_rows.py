@@ -17,6 +17,8 @@ from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 
+pytestmark = pytest.mark.usefixtures("few_folds")
+
 POSES = 16
 POSITION, ANGLE = 1e-5, 5e-5
 ORIGIN = np.array([0.3, 0.2, -0.1])

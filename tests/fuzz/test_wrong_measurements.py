@@ -16,6 +16,8 @@ script: Any = importlib.util.module_from_spec(_SPEC)
 sys.modules[_SPEC.name] = script  # where its dataclasses look up their module
 _SPEC.loader.exec_module(script)
 
+pytestmark = pytest.mark.usefixtures("few_folds")
+
 # of those that take a whole calibration to judge a few for each robot; of the others all
 WHOLE = {
     "pm3dof": ("two drives", "tool point", "one drive constant"),
