@@ -1,4 +1,4 @@
-"""Calibrations of these tests, made cheaper."""
+"""Cheaper calibrations for these tests."""
 
 from __future__ import annotations
 

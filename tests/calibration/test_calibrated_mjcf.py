@@ -1,4 +1,4 @@
-"""The calibrated description of a robot that is written in MJCF: a URDF that moves as the calibrated machine does."""
+"""The calibrated description of a robot in MJCF: a URDF that moves like the calibrated machine."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def test_named_configurations_keep_their_commands_with_loops_closed(tmp_path: Pa
 
 
 def test_gimbal_lock_loses_nothing(tmp_path: Path) -> None:
-    """At a pitch of 90 deg roll and yaw are one; small turns there must come back to the last digits."""
+    """At a pitch of 90 deg roll and yaw coincide; small rotations there must round-trip to the last digits."""
     source = find_robot("pm3dof").urdf
     text = re.sub(
         r'(<joint name="O_e_fixed".*?rpy=)"0 0 0"', rf'\1"0.3 {np.pi / 2} 0.2"', source.read_text(), flags=re.S

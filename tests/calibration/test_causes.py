@@ -145,7 +145,7 @@ def test_the_command_says_no_and_writes_nothing(
 
 
 def test_what_explains_all_goes_before_what_is_simpler_and_leaves_more_than_the_tolerances() -> None:
-    """Seen 4 mm off in the plane, a five-bar's pen moves nearly as in another frame of the base."""
+    """A five-bar's pen measured 4 mm off in the plane moves nearly as in another base frame."""
     robot = Robot.load(Path(__file__).parents[1] / "machines" / "five_bar")
     rng = np.random.default_rng(0)
     poses = robot.forward(robot.home.commands + rng.uniform(-0.25, 0.25, (20, 2)))

@@ -156,7 +156,7 @@ def test_conditions(place: Path, run: Run, answer: Answer) -> None:
     cold, warm = (
         answer("compensate", *pose, "--condition", f"temperature_screws_K={rise}", cwd=place)["u_m"] for rise in (0, 8)
     )
-    # a screw of 0.24 m grows by 22 um: the command has to be shorter
+    # a screw of 0.24 m grows by 22 um: the command must be shorter
     assert np.all(np.array(cold) - warm > 5e-6)
     usual = run("compensate", *pose, cwd=place)
     assert "temperature_screws_K is not given" in usual.stderr
@@ -252,7 +252,7 @@ def test_other_robots(name: str, tmp_path: Path, run: Run, answer: Answer) -> No
     assert len(commanded["u"]) == len(commanded["commands"]) > 0
     difference = np.abs(np.array(commanded["u"]) - commanded["u_nominal"])
     assert difference.max() < 1e-2
-    assert difference.max() > 1e-8 or name == "ur5"  # whose home is singular: no step from there comes nearer
+    assert difference.max() > 1e-8 or name == "ur5"  # its home is singular: no step from there gets closer
     poses = Robot.load(robot, tool_frame="tool0" if name == "ur5" else None)
     near_home = poses.home.commands + 1e-3 * np.arange(3)[:, None]
     columns = poses.forward(near_home).coordinates
@@ -265,7 +265,7 @@ def test_other_robots(name: str, tmp_path: Path, run: Run, answer: Answer) -> No
 
 
 def test_a_batch_is_its_poses_one_by_one(place: Path, run: Run, answer: Answer) -> None:
-    """By coordinates and by placements; a pose out of reach is NaN and named."""
+    """By coordinates and by placements; an unreachable pose is NaN and named."""
     pose = ("5", "-8", "0.49", "--condition", "temperature_screws_K=3")
     alone = answer("compensate", *pose, "--calibration", "calibration", cwd=place)
     (place / "p.csv").write_text("theta_x_deg,theta_y_deg,z_e_m,temperature_screws_K\n5,-8,0.49,3\n0,0,1.5,3\n")
@@ -294,7 +294,7 @@ def test_the_robot_may_be_named(place: Path, run: Run) -> None:
 
 
 def test_another_robot_of_the_same_name_is_refused(place: Path, run: Run, tmp_path: Path) -> None:
-    """Its guideways are 10 mm lower: its drives have other positions at home."""
+    """Its guideways are 10 mm lower: its drives have different positions at home."""
     folder = Path(shutil.copytree(find_robot("pm3dof").urdf.parent, tmp_path / "urdf"))
     closures = folder / "pm3dof.closures.yaml"
     changed = closures.read_text().replace("0.240272", "0.250272")

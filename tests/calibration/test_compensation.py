@@ -98,7 +98,7 @@ def test_sixty_poses_bring_the_tip_to_its_floor(
     conditions: dict[str, np.ndarray],
     best: np.ndarray,
 ) -> None:
-    """The machine itself is commanded: 10 % over the best commands' tip error."""
+    """The true machine is commanded: within 10 % of the best commands' tip error."""
     wanted = tripod_nominal[200:225]
     floor = tip_error(pose_difference(wanted.transforms, world.poses(best, conditions)))
     commands = calibrated(measured, tripod_errors, method).corrected(wanted, conditions)
@@ -186,7 +186,7 @@ def test_hybrids_do_a_geometric_machine_no_harm(
 
 @pytest.fixture(scope="module")
 def dirty(measured: Measurements, tripod_errors: GeometricErrors) -> Measurements:
-    """5 % of the rows are wrong by millimetres, and reported."""
+    """5 % of the rows are off by millimetres, and reported."""
     positions = np.array(measured.positions)
     positions[[5, 20, 41]] += np.array([[4e-3, 0.0, 0.0], [0.0, 6e-3, 0.0], [0.0, 0.0, -3e-3]])
     wrong = replace(measured, positions=positions)
@@ -198,7 +198,7 @@ def dirty(measured: Measurements, tripod_errors: GeometricErrors) -> Measurement
 def test_gross_outliers_change_little(
     method: str, measured: Measurements, dirty: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
-    """The corrected commands leave less than a fifth of the error before."""
+    """The corrected commands leave less than a fifth of the original error."""
     wanted = tripod_nominal[200:260]
     middle = {name: float(values.mean()) for name, values in measured.conditions.items()}
     clean = calibrated(measured, tripod_errors, method).corrected(wanted, middle)
@@ -264,7 +264,7 @@ def test_too_few_poses_are_said(
 def test_three_targets_are_as_good_as_poses(
     world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
-    """Positions of targets on the platform, a row each, at the same commands."""
+    """Positions of targets on the platform, one row each, at the same commands."""
     assert measured.rotations is not None
     offsets = np.array([[0.15, 0.0, 0.0], [-0.075, 0.13, 0.0], [-0.075, -0.13, 0.0]])
     seen = [measured.positions + measured.rotations @ offset for offset in offsets]
@@ -308,8 +308,8 @@ def test_positions_of_the_tool_point_correct_its_height(
 def test_tilts_that_positions_do_not_show_are_expected_to_be_off(
     measured: Measurements, positions: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
-    """Of them the tolerances alone speak: by how much commands are off is known to a factor of two. A method without
-    parameters has no tolerances, and says nothing."""
+    """Only the tolerances inform these: the error of commands is known to a factor of two. A method without parameters
+    has no tolerances, and gives nothing."""
     wanted = tripod_nominal[200:225]
     middle = {name: np.full(25, values.mean()) for name, values in measured.conditions.items()}
     whole, blind = (calibration_from(rows, tripod_errors, "lm") for rows in (measured, positions))
@@ -320,7 +320,7 @@ def test_tilts_that_positions_do_not_show_are_expected_to_be_off(
 
 
 def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod_errors: GeometricErrors) -> None:
-    """A pose measured twice may not be predicted from its own copy: only distinct poses are evaluated."""
+    """A pose measured twice must not be predicted from its own copy: only distinct poses are evaluated."""
     twice = measured[[*range(5), *range(5)]]
     assert not calibrate(twice, tripod_errors, Options("lm")).can_be_judged
     once = held_out_errors(calibrate(measured[:12], tripod_errors, Options("lm", loss="squares")))
@@ -330,7 +330,7 @@ def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod
 
 
 def test_near_singular_poses_of_an_arm_do_not_spoil_the_judgement(serial_arm: Robot) -> None:
-    """Six drives undo everything except where the wrist is straight: such poses are few, and no error is enormous."""
+    """Six drives correct everything except where the wrist is straight: such poses are few, and no error is huge."""
     errors = GeometricErrors(serial_arm)
     generator = np.random.default_rng(0)
     arm = World.random("geometry", errors, generator)

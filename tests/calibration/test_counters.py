@@ -1,4 +1,4 @@
-"""The unit of a counter makes no difference to the machine's motion."""
+"""The unit of a counter does not affect the machine's motion."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_counters_of_micrometres_backwards_against_metres() -> None:
 
 
 def test_all_errors_that_a_planar_machine_is_left_with_close_together() -> None:
-    """A rod turned about its own axis moves nothing until its tip is off the axis: then out of the plane."""
+    """Rotating a rod about its own axis moves nothing unless its tip is off the axis: then out of the plane."""
     robot = Robot.load(MACHINE)
     poses = reachable_poses(robot, 10, np.random.default_rng(0))
     errors = closable(GeometricErrors(robot), poses)

@@ -19,7 +19,7 @@ MACHINES = range(3000, 3005)
 def test_bounds_hold_parameters_are_near_and_nothing_gets_worse(setup: str) -> None:
     found = [one_linear(("tripod", seed, 1.0, setup, "lm"), 30) for seed in MACHINES]
     column = {name: np.array([row[name] for row in found]) for name in found[0] if name.endswith(("um", "in", "gma"))}
-    # poses of a machine share its parameters' errors: of five machines one may be off
+    # poses of a machine share its parameters' errors: one of five machines may be off
     assert np.mean(column["within"]) > 0.75
     assert not column["beyond_4_sigma"].any()
     assert np.all(column["after_um"] < column["before_um"])

@@ -1,4 +1,4 @@
-"""Ranks, compared with those that degrees of freedom of joints leave, and the known numbers of this machine."""
+"""Ranks, compared with counts by the joints' degrees of freedom, and with the known numbers of this machine."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _of_poses(errors: GeometricErrors, poses: Poses) -> Identifiability:
 
 
 def test_the_tripods_40_parameters_and_its_nine_poses(redundant_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    """A leg has nine parameters and adds one equation a pose; the 13 of the middle are known after five poses."""
+    """A leg has nine parameters and adds one equation per pose; the 13 of the middle are known after five poses."""
     regressor = _regressor(redundant_errors, tripod_nominal[:40])
     growth = _rank_growth(regressor)
     np.testing.assert_array_equal(growth[:12], [6, 12, 18, 24, 28, 31, 34, 37, 40, 40, 40, 40])
@@ -109,10 +109,10 @@ def test_a_real_arm_with_six_joints_has_30_parameters(serial_arm: Robot) -> None
 
 
 def _freedom_count(chain: str, driven: str) -> int:
-    """Parameters of a chain between two known frames that can be told apart, if nothing is special about it.
+    """Number of distinguishable parameters of a generic chain between two known frames.
 
-    A displacement that commutes with a joint may stand on either side of it: 2 for R, 4 for P, 3 for S. In a joint
-    whose coordinate is not known, its own motions are hidden besides.
+    A displacement that commutes with a joint may be on either side of it: 2 for R, 4 for P, 3 for S. In a joint of
+    unknown coordinate, its own motions are hidden too.
     """
     count = 6 * (len(chain) + 1)
     for kind, known in zip(chain, driven, strict=True):
@@ -121,7 +121,7 @@ def _freedom_count(chain: str, driven: str) -> int:
 
 
 def test_closed_chains_have_as_many_parameters_as_their_joints_leave(mechanism: Robot) -> None:
-    """Near the machine as described some have no first-order effect; on a machine far from it all have one."""
+    """Near the described machine some have no first-order effect; on a machine far from it all have one."""
     hexapod = Robot.load("hexapod")
     legs, middle = _freedom_count("PRRS", "u..."), _freedom_count("PRR", "...")
     cases = (

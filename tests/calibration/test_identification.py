@@ -45,7 +45,7 @@ def simulated(errors: GeometricErrors, truth: np.ndarray, poses: Poses, seed: in
 
 
 def test_exact_without_noise(tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses) -> None:
-    """All parameters come back to a nanometre and a nanoradian."""
+    """All parameters are recovered to a nanometre and a nanoradian."""
     found = identify(simulated(tripod_errors, truth, tripod_nominal[:60]), tripod_errors, prior=np.inf)
     np.testing.assert_allclose(found.values, truth, atol=1e-9)
     assert np.abs(found.residuals).max() < 1e-12
@@ -74,7 +74,7 @@ def test_within_three_predicted_sigmas(tripod_errors: GeometricErrors, tripod_no
         found = identify(simulated(tripod_errors, values, poses, seed), tripod_errors, prior=1.0)
         deviations = np.sqrt(np.diag(found.covariance))
         scores.append((found.values - values) / deviations)
-        # as parts, parameters are less certain: something smooth and hidden in the noise would have shifted them
+        # as parts, parameters are less certain: a smooth effect hidden in the noise would have shifted them
         assert np.all(found.sigmas > deviations)
     size = np.abs(np.array(scores))
     assert np.mean(size > 3.0) < 0.01
@@ -145,7 +145,7 @@ def test_nine_d_optimal_poses_predict_the_tip_within_13_um(tripod_errors: Geomet
 def test_gross_outliers_are_named_and_do_little(
     loss: str, tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses
 ) -> None:
-    """5 % of the rows are off by millimetres; the error over other poses stays within 20 % of the clean one's."""
+    """5 % of the rows are off by millimetres; the error at other poses stays within 20 % of the clean one's."""
     poses, others = tripod_nominal[:60], tripod_nominal[100:200]
     clean = simulated(tripod_errors, truth, poses, 3)
     positions = np.array(clean.positions)
@@ -177,7 +177,7 @@ def test_residuals_are_noise_of_the_stated_size(
 
 
 def test_residuals_of_few_measurements_are_less_than_the_noise() -> None:
-    """Of n numbers, p are used up by the parameters: squares of residuals are (n - p) / n of those of the noise."""
+    """The parameters use up p of n numbers: squared residuals are (n - p) / n of those of the noise."""
     count, dimension, used = 1001, 6, 4000
     places = (np.arange(count) + 0.5) / count
     noise = 3.0**2 * chi2.ppf(places, dimension)
@@ -242,7 +242,7 @@ def test_the_prior_from_data_is_the_most_likely_one(true: float) -> None:
 def test_smooth_effects_hidden_in_the_noise_shift_parameters_by_less_than_a_sigma(
     tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
-    """All heights read twice their sigma too high, or the more so the further the first slider has travelled."""
+    """All heights read twice their sigma too high, or in proportion to the travel of the first slider."""
     poses = tripod_nominal[:50]
     exact = simulated(tripod_errors, tripod_errors.zeros, poses)
     travel = poses.commands[:, 0]
@@ -257,7 +257,7 @@ def test_smooth_effects_hidden_in_the_noise_shift_parameters_by_less_than_a_sigm
 
 
 def test_a_wider_prior_widens_what_was_not_measured(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    """By the law of total variance: machines of a k drawn between fits of one k, and what the noise does to each."""
+    """By the law of total variance: machines of random k between fits of one k, and the effect of noise on each."""
     exact = simulated(tripod_errors, tripod_errors.zeros, tripod_nominal[:6])
     known = identify(exact, tripod_errors, prior=1.0, loss="squares")
     wider = identify(exact, tripod_errors, prior=1.0, prior_error=0.5, loss="squares")
@@ -271,7 +271,7 @@ def test_a_wider_prior_widens_what_was_not_measured(tripod_errors: GeometricErro
 
 @pytest.mark.parametrize(("weak", "told"), [(1e-13, True), (1e-16, False)])
 def test_a_direction_is_told_down_to_rounding(weak: float, told: bool) -> None:
-    """Information goes with the square of what is seen: so does the threshold, down to the rounding of its own sum."""
+    """Information is quadratic in the effects: so is the threshold, down to the rounding of its sum."""
     problem = SimpleNamespace(
         rows=np.diag(np.sqrt([1.0, weak]))[None],
         units=np.ones(2),

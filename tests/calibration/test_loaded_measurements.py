@@ -35,7 +35,7 @@ STRONGEST = (400.0, 400.0, 400.0, 20.0, 20.0, 20.0)
 
 @pytest.fixture(scope="module", params=["pm3dof", "hexapod"])
 def loaded(request: pytest.FixtureRequest) -> tuple[World, dict[str, float], Calibration]:
-    """A machine with springs other than described, and its calibration from measurements under wrenches."""
+    """A machine with springs different from the description, and its calibration from measurements under wrenches."""
     errors, generator = GeometricErrors.load(request.param), np.random.default_rng(3)
     names = [str(entry["name"]) for entry in errors.robot.springs]
     factors = dict(zip(names, np.exp(generator.normal(0.0, 0.25, len(names))).tolist(), strict=True))
@@ -50,7 +50,7 @@ def loaded(request: pytest.FixtureRequest) -> tuple[World, dict[str, float], Cal
 
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod"])
 def test_derivatives_by_stiffness_and_the_loaded_equilibrium(name: str) -> None:
-    """Central differences; and for a wrench so small that it is linear, Newton's equilibrium of the elastic model."""
+    """Central differences; and for a small wrench, in the linear range, Newton's equilibrium of the elastic model."""
     robot, generator = Robot.load(name), np.random.default_rng(0)
     poses = reachable_poses(robot, 3, generator)
     wrenches = generator.normal(size=(3, 6)) * [1.0, 1.0, 1.0, 0.1, 0.1, 0.1]
@@ -84,7 +84,7 @@ def test_springs_and_geometry_are_found_within_their_uncertainty(
 
 
 def test_commands_allow_for_a_wrench(loaded: tuple[World, dict[str, float], Calibration]) -> None:
-    """The machine itself is commanded under 500 N sideways."""
+    """The true machine is commanded under 500 N sideways."""
     world, _, calibration = loaded
     compensation = calibration.compensation
     wanted = reachable_poses(compensation.errors.robot, 10, np.random.default_rng(5))
@@ -105,7 +105,7 @@ def test_commands_allow_for_a_wrench(loaded: tuple[World, dict[str, float], Cali
 def test_a_plan_says_how_well_stiffness_will_be_known(
     loaded: tuple[World, dict[str, float], Calibration],
 ) -> None:
-    """Predicted for the robot as described, found at the planned poses and wrenches of a machine that is not."""
+    """Predicted for the described robot, and found at the planned poses and wrenches of a different machine."""
     world, factors, calibration = loaded
     errors, generator = calibration.identification.errors, np.random.default_rng(7)
     candidates, tests = (reachable_poses(errors.robot, count, generator) for count in (120, 30))
@@ -127,7 +127,7 @@ def test_a_plan_says_how_well_stiffness_will_be_known(
 
 
 def test_what_is_left_without_deflections(tripod_nominal: Poses) -> None:
-    """Targets off the tool point, of a tool displaced by a turn and a shift, go back to where they were."""
+    """Targets off the tool point, on a tool displaced by a rotation and a shift, return to their places."""
     poses, generator = tripod_nominal[:4], np.random.default_rng(2)
     points = generator.normal(0.0, 0.1, (4, 3))
     unloaded = poses.positions + np.einsum("nij,nj->ni", poses.rotations, points)
@@ -183,7 +183,7 @@ def test_the_commands(answer: Callable[..., dict[str, Any]], run: Callable[..., 
 
 
 def test_one_number_a_spring_is_what_measurements_tell() -> None:
-    """Diagonal entries of the 3-RPS machine's beams one by one, by finite differences: half are like others."""
+    """Diagonal entries of the 3-RPS machine's beams one by one, by finite differences: half are equal to others."""
     robot, generator = Robot.load("three_rps"), np.random.default_rng(1)
     poses = reachable_poses(robot, 5, np.random.default_rng(0))
     wrenches = generator.uniform(-1.0, 1.0, (5, 6)) * [100.0, 100.0, 100.0, 20.0, 20.0, 20.0]

@@ -16,7 +16,7 @@ def _truth(inputs: np.ndarray) -> np.ndarray:
 
 
 def _learned(count: int) -> tuple[GaussianProcess, float, float]:
-    """Return a process of so many noisy values, its error at others, and that in units of what it expects."""
+    """Return a process of `count` noisy values, its error at others, and that in units of the expected error."""
     rng = np.random.default_rng(0)
     inputs, others = rng.uniform(-1.0, 1.0, (count, 3)), rng.uniform(-1.0, 1.0, (500, 3))
     seen = _truth(inputs) + NOISE * rng.standard_normal((count, 2))

@@ -1,4 +1,4 @@
-"""From any measurements of any machine: a calibration is refused with its cause, or is no worse than none."""
+"""Any measurements of any machine: a calibration is refused with its cause, or is no worse than none."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _rows(machine: Poses, kind: str, rng: np.random.Generator) -> Measurements:
     )
 
 
-# of each robot the kind that is least like poses for it, and the mix
+# for each robot, the kind least like poses, and the mix
 CASES = [
     ("pm3dof", None, ("between", "mix")),
     ("three_rps", None, ("heights", "mix")),

@@ -55,7 +55,7 @@ def test_nothing_better_exists_among_few(
 
 @pytest.mark.parametrize("count", [9, 20])
 def test_optimal_plans_beat_random_ones(problem: PlanningProblem, count: int) -> None:
-    """By 1.4 or more in predicted tip error, the mean over five seeds; the chapter's rule does worse than chance."""
+    """By 1.4 times or more in predicted tip error, mean over five seeds; the chapter's rule is worse than random."""
     predicted = {s: problem.accuracy_curve([count], s, SEEDS).mean() for s in ("random", "least-sensitive")}
     d_optimal = problem.accuracy_curve([count], "d-optimal", SEEDS[:3]).mean()
     tip_optimal = problem.accuracy_curve([count], "tip-optimal", [0]).mean()
@@ -76,7 +76,7 @@ def test_the_gain_rests_on_how_far_tolerances_are_believed(
 def test_the_prediction_is_what_a_calibration_attains(
     tripod_errors: GeometricErrors, candidates: Poses, tripod_nominal: Poses
 ) -> None:
-    """Machines are drawn, measured with noise by closed loops, and their parameters estimated to first order."""
+    """Random machines are measured with noise by closed loops, and their parameters estimated to first order."""
     problem = PlanningProblem(tripod_errors, candidates[:500], tripod_nominal[:60], prior=1.0)
     plan = problem.plan(12, "d-optimal", np.random.default_rng(0), restarts=1)
     instrument, rng = Instrument(), np.random.default_rng(1)
@@ -85,7 +85,7 @@ def test_the_prediction_is_what_a_calibration_attains(
     tests = sensitivities(tripod_errors, tripod_nominal[:60]).errors
     squares = []
     for _ in range(60):
-        truth = 0.1 * tripod_errors.sample(rng)  # small, so that one linear step is the whole estimate
+        truth = 0.1 * tripod_errors.sample(rng)  # small, so that one linear step suffices
         machine = SimulatedMachine(tripod_errors.robot, GeometricSource(tripod_errors, truth))
         measured = machine.measure(plan.poses.commands, rng, instrument=finer)
         rows = (10.0 * pose_difference(plan.poses.transforms, measured) / instrument.sigmas).ravel()

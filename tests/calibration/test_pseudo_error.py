@@ -51,7 +51,7 @@ def test_a_deviation_of_the_joints_is_found_again(tripod_nominal: Poses) -> None
 
 
 def test_positions_show_the_height_and_nothing_else(tripod_nominal: Poses) -> None:
-    """The tool point is in the universal joint: tilts rotate it in place, and no deviation is invented for them."""
+    """The tool point is in the universal joint: tilts rotate it in place, and get no deviations."""
     poses = tripod_nominal[:20]
     moved = np.array(poses.transforms)
     moved[:, :3, 3] += [2e-4, -1e-4, 3e-4]
@@ -61,7 +61,7 @@ def test_positions_show_the_height_and_nothing_else(tripod_nominal: Poses) -> No
 
 
 def test_steps_near_a_singularity_lead_nowhere_else(serial_arm: Robot) -> None:
-    """Some of 400 random poses of an arm are so near a singularity that full Newton steps would go far astray."""
+    """Some of 400 random poses of an arm are so near a singularity that full Newton steps would diverge."""
     errors = GeometricErrors(serial_arm)
     generator = np.random.default_rng(3)
     nominal = serial_arm.forward(generator.uniform(-np.pi, np.pi, (400, 6)))
@@ -110,7 +110,7 @@ def test_the_noise_of_a_deviation_is_that_of_the_measurement(tripod_nominal: Pos
 
 
 def test_inputs_are_scaled_by_the_limits(tripod_nominal: Poses) -> None:
-    """The stroke is 85 mm to either side; temperatures are scaled by what was measured."""
+    """The stroke is 85 mm to either side; temperatures are scaled by the measured range."""
     measurements = Measurements.of_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
     conditions = {"temperature_a_K": np.array([2.0, 4.0, 6.0]), "load_z_N": np.full(3, 7.0)}
     scale = InputScale.of(tripod_nominal.robot, replace(measurements, conditions=conditions))
@@ -233,7 +233,7 @@ def test_conditions_beyond_those_measured_are_told() -> None:
 
 
 def test_poses_that_are_no_numbers_are_infinitely_wrong(tripod_nominal: Poses) -> None:
-    """So that a step that leads there is made shorter: eigenvalues of NaN are an error of LAPACK."""
+    """So that a step there is shortened: eigenvalues of NaN are a LAPACK error."""
     poses = tripod_nominal[:3]
     measurements = Measurements.of_poses(poses.commands, poses.transforms)
     q = np.array(poses.q)

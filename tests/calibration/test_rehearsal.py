@@ -46,7 +46,7 @@ def test_space_filling_poses_are_far_apart(problem: PlanningProblem) -> None:
 
 
 def test_the_process_is_left_with_less_variance(problem: PlanningProblem, tests: Poses) -> None:
-    """By the textbook formula, k** - k*^T (K + noise)^-1 k*, with the kernel written out again."""
+    """By the textbook formula, k** - k*^T (K + noise)^-1 k*, with an explicit kernel."""
     robot = problem.errors.robot
     ends = np.array([robot.range_of(command) for command in robot.command_coordinates])
 
@@ -82,7 +82,7 @@ def test_too_many_poses_for_their_distance(tripod_errors: GeometricErrors, tests
 def test_parameters_alone_leave_what_the_formula_says(
     problem: PlanningProblem, tests: Poses, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without waves: the mean of tr(P B M^-1 B^T P), P on what commands can do, B the motion by the parameters."""
+    """Without waves: the mean of tr(P B M^-1 B^T P), P projects on correctable motions, B the motion by parameters."""
     monkeypatch.setattr(rehearsal, "WAVES", 0.0)
     chosen = problem.plan(12, "random", np.random.default_rng(3)).indices
     errors = problem.errors
@@ -138,7 +138,7 @@ def test_unknown_springs_are_rehearsed(
 
 
 def test_the_least_sensitive_region_is_that_of_all_sources(tripod_errors: GeometricErrors, mechanism: Robot) -> None:
-    """By the squares of the sources, added up here: 500 N sideways deflect the low poses least."""
+    """By the sum of squares of the sources: 500 N sideways deflect the low poses least."""
     candidates = reachable_poses(mechanism, 60, np.random.default_rng(0))
     sources = ErrorSources(tripod_errors, wrench=[500.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     problem = PlanningProblem(tripod_errors, candidates, sources=sources)

@@ -1,4 +1,4 @@
-"""The folder of a calibration: all or nothing, reproducible byte for byte, loadable elsewhere; and its report."""
+"""The folder of a calibration: atomic, reproducible byte for byte, loadable elsewhere; and its report."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import pytest
 from pm3dof_pin.calibration.scatter import Scatter
 
 POSES = 3000
-# drives of two kinds, with like effects on the tool, which the first moves twice as far; or of one kind, alike
+# drives of two kinds, with similar effects on the tool, twice as large for the first; or of one kind, with equal ones
 EVERYWHERE, KINDS = (
     np.array([4e-12, 9e-12]),
     {("m", "rad"): np.array([9e-12, 36e-12]), ("m", "m"): np.array([16e-12, 16e-12])},
@@ -18,7 +18,7 @@ EVERYWHERE, KINDS = (
 def drawn(
     generator: np.random.Generator, shown: np.ndarray, drives: np.ndarray, everywhere: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return errors as seen, what is known of them, projections, and the motions by two drives."""
+    """Return measured errors, their known covariance, projections, and the motions by two drives."""
     control = generator.standard_normal((POSES, 6, 2)) * [1.0, 0.5]
     half = 3e-6 * generator.standard_normal((POSES, 6, 6))
     errors = np.sqrt(everywhere.repeat(3)) * generator.standard_normal((POSES, 6))
@@ -32,7 +32,7 @@ def drawn(
 @pytest.mark.parametrize("seen", [6, 3])
 def test_all_kinds_are_found(seen: int, units: tuple[str, str]) -> None:
     turned = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 6)))[0][:, :seen]
-    everywhere = EVERYWHERE if seen == 6 else EVERYWHERE[[0, 0]]  # of parts of poses both are taken to be the same
+    everywhere = EVERYWHERE if seen == 6 else EVERYWHERE[[0, 0]]  # for parts of poses both are taken as equal
     found = Scatter.of(*drawn(np.random.default_rng(2), turned @ turned.T, KINDS[units], everywhere), units)
     # a few hundred poses' worth of information: to a tenth
     np.testing.assert_allclose(found.everywhere, everywhere, rtol=0.1)
@@ -50,8 +50,8 @@ def test_where_all_is_explained_next_to_nothing_is_found() -> None:
 
 
 def test_parts_below_their_standard_error_are_left_out_on_request() -> None:
-    """Of scatter that is not there each of three estimates is positive in half the cases, or above its standard error
-    in a sixth of them."""
+    """Without scatter, each of three estimates is positive in half the cases, and above its standard error in a sixth
+    of them."""
     generator, found = np.random.default_rng(5), []
     for _ in range(60):
         _, known, shown, control = (a[:40] for a in drawn(generator, np.eye(6), np.zeros(2), np.zeros(2)))
@@ -64,7 +64,7 @@ def test_parts_below_their_standard_error_are_left_out_on_request() -> None:
 
 
 def test_estimates_are_as_uncertain_as_they_say() -> None:
-    """What a gain makes of the scatter, over drawn sets of 60 poses: its spread against what is said of each."""
+    """Propagation of the scatter by a gain, over random sets of 60 poses: actual spread against the stated one."""
     generator, gains, found = np.random.default_rng(6), np.eye(6)[None, :4], []
     for _ in range(80):
         errors, known, shown, control = (a[:60] for a in drawn(generator, np.eye(6), KINDS["m", "m"], EVERYWHERE))

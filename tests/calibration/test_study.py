@@ -65,7 +65,7 @@ def test_hybrids_do_no_harm_to_geometry(records: list[Record]) -> None:
 
 
 def test_an_interrupted_study_goes_on(folder: Path, records: list[Record], tmp_path: Path) -> None:
-    """Finished machines are read, not run again, and the result is the same, byte for byte."""
+    """Finished machines are read, not recomputed, and the result is identical byte for byte."""
     shutil.copytree(folder, tmp_path / "study")
     (tmp_path / "study" / "geometry_000.json").unlink()
     seen: list[tuple[int, int]] = []

@@ -1,4 +1,4 @@
-"""The verdict of a calibration: bounds that hold, a budget that adds up, three lines first."""
+"""The verdict of a calibration: valid bounds, a budget that adds up, and three lines first."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from pm3dof_pin.measuring.measurements import Measurements
 
 REPEATS = 5
 SCATTER = 12e-6
-"""By which the machine of these tests misses its own mean, each coordinate [m]."""
+"""Deviation of the test machine from its own mean, each coordinate [m]."""
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def test_the_report_says_it_first(calibration: Calibration, judgement: Verdict) 
 
 
 def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    """Heights leave the tilts open: machines that what is known allows, commanded by all of it or with care."""
+    """Heights do not determine the tilts: machines consistent with the data, with full or cautious corrections."""
     poses, generator = tripod_nominal[:12], np.random.default_rng(3)
     truth = tripod_errors.apply(0.6 * tripod_errors.sample(generator)).forward(poses.commands, guess=poses.q)
     measured = Measurements.of_poses(poses.commands, truth.transforms)
@@ -167,7 +167,7 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     chance = gain.chance_of_harm(found.identification.values)
     assert 0.05 < chance < 0.5
     assert chance == pytest.approx(harmed[0], abs=0.1)
-    # what is left out of the correction is the price of that: on average all of it gains more
+    # caution has a price: on average the full correction gains more
     assert found.chance_of_harm <= HARM + 1e-12
     assert harmed[1] <= 5 / 150  # of 1 % of them, which more than so many are once in 200 draws
     assert 0.0 < gained[1] < gained[0]

@@ -20,7 +20,7 @@ def test_way_back_over_the_whole_workspace(tripod: Tripod, reachable_poses: np.n
 
 
 def test_convergence_is_quadratic(tripod: Tripod) -> None:
-    """Stopped one step later each time, the error falls with its square: e_(k+1) <= C e_k^2 with one C."""
+    """Stopped one step later each time, the error falls quadratically: e_(k+1) <= C e_k^2 with one C."""
     pose = np.array([0.6, -0.5, 0.47])
     u = inverse_kinematics(tripod, pose)
     errors = []

@@ -1,4 +1,4 @@
-"""The elastic stiffness and its design derivatives against the formula in matrices, for real and complex numbers."""
+"""The elastic stiffness and its design derivatives against the matrix formula, for real and complex numbers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DESIGN = {
 
 
 def formula(pose: np.ndarray, d: Mapping[str, complex]) -> np.ndarray:
-    """K of docs/theory.md, written with matrices; d may hold complex numbers."""
+    """K of docs/theory.md, in matrices; d may contain complex numbers."""
     zero, outward = 0 * ALPHA, np.stack([np.cos(ALPHA), np.sin(ALPHA)], axis=1)
     heading = ALPHA + d["guide_heading"]
     slope = d["guide_slope"]

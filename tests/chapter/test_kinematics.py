@@ -22,7 +22,7 @@ from pm3dof_pin.chapter.kinematics import (
 )
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 
-# Table 8.1, typed here on purpose: the tests do not take their numbers from the file under test.
+# Table 8.1, deliberately repeated here: the tests do not use the numbers of the file under test.
 ALPHA = np.radians([-30.0, 90.0, -150.0])
 L_B, L_E, LINK, GAMMA, Z_0 = 0.37425, 0.075, 0.353, np.radians(50.0), 0.013
 BASE = L_B * np.stack([np.cos(ALPHA), np.sin(ALPHA), 0 * ALPHA], axis=-1)
@@ -31,7 +31,7 @@ JOINT = np.stack([L_E * np.cos(ALPHA), L_E * np.sin(ALPHA), Z_0 + 0 * ALPHA], ax
 
 
 def platform_joints(pose: np.ndarray) -> np.ndarray:
-    """E_i by rotation matrices written out, shape=(3, 3); works for complex numbers."""
+    """E_i by explicit rotation matrices, shape=(3, 3); works for complex numbers."""
     x, y, z = pose
     rx = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
     ry = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
@@ -70,7 +70,7 @@ def test_inverse_kinematics_equals_the_quadratic(tripod: Tripod, poses: np.ndarr
 
 
 def test_known_travels(tripod: Tripod) -> None:
-    """Values computed elsewhere with three simulators."""
+    """Values computed separately with three simulators."""
     np.testing.assert_allclose(inverse_kinematics(tripod, [0, 0, 0.493]), [0.24028054402] * 3, atol=5e-12)
     u = inverse_kinematics(tripod, [np.radians(10), np.radians(-15), 0.5])
     np.testing.assert_allclose(u, [0.257110951586, 0.260246563859, 0.224483570293], atol=5e-13)

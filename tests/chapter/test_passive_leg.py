@@ -49,7 +49,7 @@ def test_a_radius_counts_with_its_fourth_power(tripod: Tripod, factor: float) ->
 
 
 def test_a_thick_leg_leaves_the_legs_as_the_only_springs_of_the_tilts(tripod: Tripod) -> None:
-    """As the passive leg grows rigid, a probe feels the tilts as if x and y were held."""
+    """As the passive leg becomes rigid, tilts are as stiff as with x and y held."""
     centre = [0.0, 0.0, tripod.middle_height]
     rigid = with_passive_leg_radius(tripod, 100.0)
     tilts = [AXES.index("theta_x"), AXES.index("theta_y")]

@@ -1,4 +1,4 @@
-"""The chapter's numbers on Pinocchio's Jacobians: the closed form to 1e-10, with Pinocchio really called."""
+"""The chapter's numbers from Pinocchio's Jacobians: the closed form to 1e-10, with Pinocchio actually called."""
 
 from __future__ import annotations
 

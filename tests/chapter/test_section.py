@@ -1,4 +1,4 @@
-"""Stiffness sections against the equations written out independently, and the chapter's statements about its maps."""
+"""Stiffness sections against independently implemented equations, and the chapter's statements about its maps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _tilts(section: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _chapter(theta_x: float, theta_y: float, z_e: float) -> dict[str, float]:
-    """The chapter's stiffness from Table 8.1 and (8.4)-(8.10) as printed, one leg after the other."""
+    """The chapter's stiffness from Table 8.1 and (8.4)-(8.10) as printed, leg by leg."""
     l_b, l_e, length, z_0, gamma = 0.37425, 0.075, 0.353, 0.013, np.radians(50.0)
     c_x, s_x, c_y, s_y, c_g, s_g = (
         *(f(a) for a in (theta_x, theta_y) for f in (np.cos, np.sin)),
@@ -67,7 +67,7 @@ def _chapter(theta_x: float, theta_y: float, z_e: float) -> dict[str, float]:
         k_4 = k[0] * c_g * c + k[1] * c_g * s - k[2] * s_g
         j_a, j_t = k @ j_i / length, -k @ j_i / k_4
         stiffness += 1.5177e10 * np.outer(j_a, j_a) + 9.5950e7 * np.outer(j_t, j_t)
-    free = z_e - 0.379178  # theory: z_b, to the digits that are known
+    free = z_e - 0.379178  # theory: z_b, to the known digits
     bending, twisting = 899.6698 / free**3, 697.4185 / free**2
     values = {
         "stiffness_theta_x": stiffness[0, 0] + bending,

@@ -1,4 +1,4 @@
-"""Table 8.3: ten entries as printed, two off in the last digit, one inconsistent; and a bad table is refused."""
+"""Table 8.3: ten entries as printed, two off in the last digit, one inconsistent; an invalid table is refused."""
 
 from __future__ import annotations
 

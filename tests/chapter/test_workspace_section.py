@@ -1,4 +1,4 @@
-"""Sections of the workspace against the joint values at their boundary and against counting on dense grids."""
+"""Sections of the workspace against joint values at their boundary and against counts on dense grids."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_sections_of_the_machine_are_star_shaped(tripod: Tripod, z_e: float) -> 
     tilts, reachable = _dense(tripod, z_e, np.radians(51.0), np.radians(0.5))
     assert ndimage.label(reachable, np.ones((3, 3)))[1] == 1
     assert np.array_equal(ndimage.binary_fill_holes(reachable), reachable)
-    # every pose of the grid is on the side of the outline that its radius says
+    # every pose of the grid is on the correct side of the outline by its radius
     azimuth = np.arctan2(tilts[..., 1], tilts[..., 0])
     edge = np.interp(azimuth, section.azimuths, section.radii, period=2.0 * np.pi)
     radius = np.linalg.norm(tilts, axis=-1)

@@ -1,4 +1,4 @@
-"""The command `pm3dof` from outside: what it prints, where, and its exit status."""
+"""The command `pm3dof` from outside: its output streams and exit status."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_a_tool_that_is_rigid_in_some_directions_has_a_compliance_only(
 
 
 def test_home_needs_no_name(answer: Answer, run: Run, tmp_path: Path) -> None:
-    """A robot without an SRDF has its home as well."""
+    """A robot without an SRDF has a home too."""
     urdf = Path(answer("info")["urdf"])
     (tmp_path / "own robot.urdf").write_text(urdf.read_text())
     (tmp_path / "own robot.closures.yaml").write_text(urdf.with_name("pm3dof.closures.yaml").read_text())

@@ -41,7 +41,7 @@ def hinge(name: str, parent: str, child: str, xyz: str = "0 0 0", axis: str = "0
 
 
 def delta(limit: str = LIMIT) -> str:
-    """A delta robot's tree: three arms, on each a forearm with two hinges; the platform is attached to the first."""
+    """A delta robot's tree: three arms, each with a forearm on two hinges; the platform is attached to the first."""
     parts = [links("base", "platform", "tip2", "tip3", "socket2", "socket3")]
     for leg, yaw in ((1, 0.0), (2, 2.0943951), (3, -2.0943951)):
         parts.append(links(f"mount{leg}", f"arm{leg}", f"cross{leg}", f"forearm{leg}"))
@@ -185,7 +185,7 @@ def test_the_packages_own_robot_lacks_nothing() -> None:
 
 @pytest.mark.parametrize("kind", ["closures", "errors", "parameters"])
 def test_schemas_for_editors(kind: str) -> None:
-    """They take the files of all robots, and refuse a key that is misspelt."""
+    """They accept the files of all robots, and refuse a misspelt key."""
     schema = info("--schema", kind)
     jsonschema.Draft202012Validator.check_schema(schema)
     pattern = "*/config/pm3dof.yaml" if kind == "parameters" else f"*/urdf/*.{kind}.yaml"
@@ -200,7 +200,7 @@ def test_schemas_for_editors(kind: str) -> None:
 
 
 def test_it_says_what_solves_many_poses(tmp_path: Path) -> None:
-    """By programs; or by Pinocchio, and why: two tips that no joint brings together have no closed pose to start at."""
+    """By programs; or by Pinocchio, and why: tips that no joint brings together have no closed pose to start from."""
     assert info("--robot", "hexapod")["engine"] == "program"
     urdf = tmp_path / "apart.urdf"
     joint = '<joint name="{0}_joint" type="continuous"><parent link="base"/><child link="{0}"/>{1}</joint>'
@@ -220,7 +220,7 @@ def test_it_says_what_solves_many_poses(tmp_path: Path) -> None:
 
 
 def test_a_stretched_arm_is_called_singular(tmp_path: Path) -> None:
-    """Its point loses the motion along the arm, the drives can move with the point at rest: serial."""
+    """Its point loses the motion along the arm, and the drives can move with the point at rest: serial."""
     tip = '<joint name="tip_fixed" type="fixed"><parent link="fore"/><child link="tip"/><origin xyz="0.2 0 0"/></joint>'
     joints = hinge("first", "base", "upper") + hinge("second", "upper", "fore", "0.3 0 0") + tip
     (tmp_path / "arm.urdf").write_text(f'<robot name="arm">{links("base", "upper", "fore", "tip")}{joints}</robot>')

@@ -1,4 +1,4 @@
-"""Poses on the command line: of every robot, by coordinates, by name and from files."""
+"""Poses on the command line: for every robot, by coordinates, by name and from files."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_hexapods_struts_reach_from_base_to_platform(answer: Answer) -> None:
 
 
 def test_a_broken_limit_is_read_off_the_counter(run: Run) -> None:
-    """Of a joint that a command reads; of a closure, by its place in its declared group, or by its frames."""
+    """Of a joint with a command; of a closure, by its index in its declared group, or by its frames."""
     assert "spherical1 at 46.78 deg, outside 0.00 .. 45.00 deg" in run("ik", "44", "3", "0.5").stderr
     robot = Robot.load("pm3dof")
     low = robot.solve([0.0, 0.0, 0.59]).configuration()

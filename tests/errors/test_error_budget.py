@@ -60,7 +60,7 @@ Case = tuple[ErrorSources, Poses, dict[str, SourceErrors]]
 
 
 def test_growth_is_that_of_the_simulated_machine(case: Case) -> None:
-    """One kelvin of all, then of one screw against the mean of all: members grow with the mean only."""
+    """One kelvin for all, then for one screw against the mean of all: members grow only with the mean."""
     sources, poses, found = case
     machine = SimulatedMachine(sources.robot, thermal=sources.thermal_growth)
     rises, drives = np.array([[10.0]]), len(sources.robot.commands)
@@ -76,7 +76,7 @@ def test_growth_is_that_of_the_simulated_machine(case: Case) -> None:
 
 @pytest.mark.parametrize(("name", "place"), [("pm3dof", "platform_x_joint"), ("hexapod", "O_e"), ("three_rps", "O_e")])
 def test_bent_members_are_those_of_the_simulated_machine(name: str, place: str) -> None:
-    """2 K across a member 30 mm deep and 110 mm long, both ways at once: with the bend against without."""
+    """2 K across a member 30 mm deep and 110 mm long, in both directions: with and without bending."""
     thermal = {"across_K": 0.5, "bending": {place: {"depth_m": 0.03, "along_m": [0.0, 0.0, 0.11]}}}
     sources = sources_of(name, thermal=thermal)
     poses = reachable_poses(sources.robot, 5, np.random.default_rng(0))
@@ -90,14 +90,14 @@ def test_bent_members_are_those_of_the_simulated_machine(name: str, place: str) 
 
 
 def test_links_between_two_joints_bend_without_a_trace() -> None:
-    """Struts that carry along themselves only: their ends turn about their joints, in whichever way they bend."""
+    """Struts with axial loads only: their ends rotate about their joints, whichever way they bend."""
     sources = sources_of("hexapod", thermal={"bending": {f"strut{k}_tip": {"depth_m": 0.02} for k in range(1, 7)}})
     poses = reachable_poses(sources.robot, 5, np.random.default_rng(0))
     assert "thermal_bending" not in {source.name for source in sources.at(poses, ["thermal"])}
 
 
 def test_drift_is_that_of_the_simulated_machine_and_stays(case: Case) -> None:
-    """One zero, then the warmth, after five hours; over a job its rms is that of rates and times at random."""
+    """One zero, then warming, after five hours; over a job the rms is that of random rates and times."""
     stated = {"hours": 8.0, "warming_K_per_h": 0.5, "zeros_m_per_h": 2e-7, "zeros_rad_per_h": 2e-6}
     sources, poses, _ = case
     sources = sources_of(sources.robot.name, drift=stated)
@@ -141,7 +141,7 @@ def test_waves_scatter_as_drawn_ones(case: Case) -> None:
 
 
 def test_drives_that_stand_beside_their_command(case: Case) -> None:
-    """The robot itself with one drive half the backlash off; a step of the encoder, uniform, has s / sqrt(12)."""
+    """The robot itself with one drive off by half the backlash; a uniform encoder step has s / sqrt(12)."""
     sources, poses, found = case
     scale = sources.robot.commands[0].scale
     off = poses.commands + scale * 1e-6 * np.eye(poses.commands.shape[1])[0]
@@ -167,7 +167,7 @@ def test_servos_give_way_as_springs_at_the_drives_would(case: Case) -> None:
 
 
 def test_clearance_moves_a_joint_within_its_play(case: Case) -> None:
-    """A closure point off by the whole play: the loops of a robot with this geometric error are closed."""
+    """A closure point off by the full clearance: the loops of a robot with this geometric error are closed."""
     sources, poses, found = case
     names = [p.name for p in sources.others.parameters if p.group == "clearance"]
     assert len(names) in (3, 6)
@@ -284,7 +284,7 @@ def test_numbers_of_the_file(tmp_path: object, tripod_errors: GeometricErrors) -
 
 
 def test_a_hexapod_stands_where_its_energy_is_least() -> None:
-    """Struts as springs between points, k (l - l0)^2 / 2, less the work of a force: minimised by SciPy."""
+    """Struts as springs between points, k (l - l0)^2 / 2, minus the work of a force: minimised by SciPy."""
     robot = Robot.load("hexapod")
     poses = reachable_poses(robot, 1, np.random.default_rng(1))
     force = np.array([4e4, -3e4, -8e4])

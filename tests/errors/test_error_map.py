@@ -87,7 +87,7 @@ def test_the_parts_are_at_right_angles(tripod_map: ErrorMap) -> None:
 
 
 def test_what_no_command_can_undo_is_in_the_middle(tripod_map: ErrorMap) -> None:
-    """Errors of the legs move the platform in its three degrees of freedom; sideways it follows the passive leg."""
+    """Errors of the legs move the platform in its three degrees of freedom; sideways the passive leg guides it."""
     legs = [k for k, p in enumerate(tripod_map.errors.parameters) if p.group in ("legs", "platform")]
     assert np.abs(tripod_map.uncompensable[:, :, legs]).max() < 1e-12
     ranking = tripod_map.ranking()
@@ -97,7 +97,7 @@ def test_what_no_command_can_undo_is_in_the_middle(tripod_map: ErrorMap) -> None
 
 
 def test_how_much_of_the_error_commands_can_undo(tripod_map: ErrorMap) -> None:
-    """Three drives cannot undo six errors: between 40 and 70 % of the tip error stays, whatever the commands."""
+    """Three drives cannot correct six errors: between 40 and 70 % of the tip error remains, whatever the commands."""
     assert 0.4 < tripod_map.uncompensable_rms.mean() / tripod_map.tip_rms.mean() < 0.7
 
 
@@ -105,7 +105,7 @@ def test_six_drives_undo_everything() -> None:
     hexapod = Robot.load("hexapod")
     poses = reachable_poses(hexapod, 10, np.random.default_rng(0))
     result = error_map(GeometricErrors.load("hexapod"), poses)
-    assert not result.uncompensable_rms.any()  # no map of rounding
+    assert not result.uncompensable_rms.any()  # not rounding errors
 
 
 def test_the_least_sensitive_region(tripod_map: ErrorMap) -> None:

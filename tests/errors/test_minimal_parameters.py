@@ -51,7 +51,7 @@ def test_the_files_of_robots_are_complete_and_without_redundancy(
 
 
 def test_what_is_left_out_does_what_the_others_do(declared: GeometricErrors, poses: Poses) -> None:
-    """Two errors that are not in the tripod's file, by finite differences: but for 3e-4 of the greatest effect."""
+    """Two errors missing in the tripod's file, by finite differences: up to 3e-4 of the greatest effect."""
     if declared.robot.name != "pm3dof":
         pytest.skip("one robot will do")
     shown = _by_differences(declared, poses[:15])
@@ -63,7 +63,7 @@ def test_what_is_left_out_does_what_the_others_do(declared: GeometricErrors, pos
 
 
 def test_as_many_as_the_rank_of_everything(mechanism: Robot) -> None:
-    """Whatever the order, as many as singular values of closed loops' finite differences are not zero."""
+    """In any order, as many as there are nonzero singular values of closed loops' finite differences."""
     few, everything = reachable_poses(mechanism, 24, np.random.default_rng(4)), GeometricErrors(mechanism)
     found = minimal_parameters(everything, few, least_effect=0.0)
     values = np.linalg.svd(_by_differences(everything, few, 1e-4), compute_uv=False)

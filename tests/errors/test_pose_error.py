@@ -1,4 +1,4 @@
-"""Pose errors against exact angles, Pinocchio's logarithm and the chapter's matrix written out by hand."""
+"""Pose errors against exact angles, Pinocchio's logarithm and the chapter's explicit matrix."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def _differences(errors: GeometricErrors, poses: Poses, values: np.ndarray, chos
 
 
 def _some(errors: GeometricErrors) -> slice:
-    """All parameters of small robots; of others every fifth, which is another of the six of a place each time."""
+    """All parameters of small robots; of others every fifth, a different one of the six at each place."""
     return slice(None, None, 5 if len(errors) > 60 else 1)
 
 
@@ -48,7 +48,7 @@ def test_errors_against_finite_differences(case: Poses) -> None:
 
 
 def test_errors_against_finite_differences_far_from_nominal(case: Poses) -> None:
-    """At errors of centimetres and tenths of a radian the derivative of the displacement itself counts."""
+    """For errors of centimetres and tenths of a radian, the derivative of the displacement itself matters."""
     errors = closable(GeometricErrors(case.robot), case)
     values = 20.0 * errors.sample(np.random.default_rng(2))
     poses = errors.apply(values).forward(case.commands, guess=case.q)
@@ -75,8 +75,8 @@ def test_an_offset_is_a_change_of_command(tripod_errors: GeometricErrors, tripod
 def test_a_leg_that_carries_the_tool_closes_with_all_its_errors(tmp_path: Path) -> None:
     """Two sliding legs that turn in a plane and meet; the first carries a lift.
 
-    The first leg's turn about its own axis, by itself, moves the tool and not the loop; beside an offset of its tip
-    across that axis, which stays in the plane, it lifts the tip out of it.
+    The first leg's rotation about its own axis, alone, moves the tool and not the loop; with an in-plane offset of its
+    tip from that axis, it lifts the tip out of the plane.
     """
 
     def joint(name: str, kind: str, parent: str, child: str, place: str, axis: str) -> str:
@@ -106,7 +106,7 @@ def test_a_leg_that_carries_the_tool_closes_with_all_its_errors(tmp_path: Path) 
 
 
 def test_what_cannot_close_is_left_out_and_named(four_bar: Path) -> None:
-    """A planar four-bar does not close with a tilted or lifted pivot; lengths and offsets in its plane it takes."""
+    """A planar four-bar does not close with a tilted or raised pivot, but with in-plane lengths and offsets."""
     mechanism = Robot.load(four_bar)
     errors, poses = GeometricErrors(mechanism), mechanism.forward([[0.2], [-0.3]])
     assert set(errors.names) - set(closable(errors, poses).names) == {
@@ -167,9 +167,9 @@ def test_drives_that_depend_on_each_other_are_refused() -> None:
 
 
 def test_a_sarrus_linkage_closes_with_all_errors_that_are_kept(tmp_path: Path) -> None:
-    """Two legs of three parallel hinges, across each other: a turn of a hinge lets it close to first order at most.
+    """Two crossed legs of three parallel hinges: rotating a hinge lets it close to first order at most.
 
-    What is kept are the errors that leave the hinges of each leg parallel, for which any three do.
+    The errors kept leave the hinges of each leg parallel, for which any three do.
     """
     legs = [("0.1 0 0", "0.1 0 0.1", "-0.1 0 0.1", "0 1 0"), ("0 0.1 0", "0 0.1 0.1", "0 -0.1 0.1", "1 0 0")]
     parts = ['<link name="base"/>']
@@ -198,7 +198,7 @@ def test_a_sarrus_linkage_closes_with_all_errors_that_are_kept(tmp_path: Path) -
 
 
 def test_what_closes_does_not_depend_on_the_size_of_errors() -> None:
-    """Displacements by heat or play are given as effects of 1 m and 1 rad, with which no machine would close."""
+    """Displacements by heat or clearance are given as effects of 1 m and 1 rad, with which no machine would close."""
     errors = GeometricErrors.load("hexapod")
     large = GeometricErrors(errors.robot, [dataclasses.replace(p, tolerance=1.0) for p in errors.parameters])
     assert closable(large).names == closable(errors).names == errors.names

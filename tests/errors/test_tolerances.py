@@ -22,7 +22,7 @@ def tripod_map(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> ErrorMa
 
 
 def _squares(errors: ErrorMap) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """What each class does to the squared tip error at each pose, and how many parameters times tolerance it has."""
+    """Effect of each class on the squared tip error at each pose, and its number of parameters times tolerance."""
     labels = [f"{p.group} [{p.unit}]" for p in errors.errors.parameters]
     names = list(dict.fromkeys(labels))
     each = np.sum((errors.sensitivities.errors * np.repeat([1.0, 0.1], 3)[:, None]) ** 2, axis=1)
@@ -89,7 +89,7 @@ def test_no_target_is_refused(tripod_map: ErrorMap) -> None:
 def test_as_many_machines_as_said_stay_within_the_target_everywhere(
     distribution: str, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
-    """Closed loops of machines with the allocated tolerances; for the root mean square most are outside somewhere."""
+    """Closed loops of machines with the allocated tolerances; for the root mean square most exceed it somewhere."""
     poses = tripod_nominal[:40]
     mapped = error_map(tripod_errors, poses, distribution=distribution)  # type: ignore[arg-type]
     outside = {}

@@ -45,7 +45,7 @@ def test_one_oscillator_under_white_noise() -> None:
 
 
 def state_space(robot: Robot, q: np.ndarray, damping: float) -> tuple[np.ndarray, ...]:
-    """Return A, the basis of the moving coordinates, it by state, and the tool's Jacobian, from Pinocchio alone.
+    """Return A, the basis of the moving coordinates, the same by state, and the tool's Jacobian, from Pinocchio alone.
 
     Coordinates of the motions that close the loops; damping of every mode, C = 2 zeta M sqrt(M^-1 K).
     """
@@ -105,7 +105,7 @@ def test_white_forces_shake_the_tool_as_lyapunov_says(name: str) -> None:
 
 
 def test_a_low_band_moves_the_tool_as_the_compliance_says(tripod_nominal: Poses) -> None:
-    """Far below the first natural frequency a force of 1 N rms moves by C, up to (f / f1)^2."""
+    """Far below the first natural frequency, a force of 1 N rms has the displacement C, up to (f / f1)^2."""
     poses = tripod_nominal[:2]
     low = Spectrum(edges_Hz=(0.5, 1.0), levels=(2.0,))
     found = Vibration(spectra=quiet(tool=low)).covariances_by_cause(poses)["tool"]
@@ -139,6 +139,6 @@ def test_roots_of_covariances() -> None:
 
 def test_roundings_of_components_that_do_not_move_do_not_change_the_root() -> None:
     covariance = np.diag([4e-10, 0.0, 1e-10])
-    covariance[0, 1] = covariance[1, 0] = 0.9 * 2e-5 * 1e-17  # a correlation of 0.9 with what only is rounding
+    covariance[0, 1] = covariance[1, 0] = 0.9 * 2e-5 * 1e-17  # a correlation of 0.9 with a rounding error
     covariance[1, 1] = 1e-34
     np.testing.assert_allclose(covariance_root(covariance), np.diag([2e-5, 0.0, 1e-5]), rtol=0.0, atol=1e-10)

@@ -1,4 +1,4 @@
-"""The atlas: right numbers in the right places, the same bytes however it is computed, nothing half-written."""
+"""The atlas: right numbers in the right places, identical bytes however it is computed, no partial files."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_interrupted_and_resumed_is_the_same_to_the_byte(
     monkeypatch.setattr(atlas_module, "_compute_block", compute)
     done: list[int] = []
     resumed = compute_atlas(job, threads=2, progress=lambda poses, total: done.append(poses))
-    assert len(done) < len(list(job.blocks()))  # finished blocks were not computed again
+    assert len(done) < len(list(job.blocks()))  # finished blocks were not recomputed
     assert done[-1] == 7 * 6 * 5
     assert digest(resumed) == digest(whole)
     assert not job.parts.exists()
@@ -152,7 +152,7 @@ def test_blocks_of_another_size_give_the_same_numbers(
 
 def test_a_dask_cluster_gives_the_same_bytes(mechanism: Robot, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
-    shape = (45, 45, 101)  # three blocks and a rest
+    shape = (45, 45, 101)  # three blocks and a remainder
     alone = compute_atlas(make(mechanism, tmp_path / "alone" / "atlas.nc", shape, "felt_stiffness"))
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=2, dashboard_address=None, host="127.0.0.1", worker_dashboard_address=None
@@ -215,7 +215,7 @@ def test_an_older_atlas_gives_way_and_nothing_else_does(mechanism: Robot, tmp_pa
 
 @pytest.mark.parametrize(("suffix", "gigabytes"), [(".nc", "578"), (".zarr", "289")])
 def test_no_room_on_the_disk(mechanism: Robot, tmp_path: Path, suffix: str, gigabytes: str) -> None:
-    """10^9 poses of 36 numbers and one byte; refused before anything is written, and not one block is listed."""
+    """10^9 poses of 36 numbers and one byte; refused before anything is written or any block listed."""
     job = make(mechanism, tmp_path / f"atlas{suffix}", (1000, 1000, 1000), "K")
     with pytest.raises(OutputError, match=rf"it needs up to {gigabytes} GB of disk space, .* GB are free"):
         compute_atlas(job)

@@ -1,4 +1,4 @@
-"""Robustness of the store: damage, kills, full disks, two runs at once: the same bytes, or a one-line message."""
+"""Robustness of the store: damage, kills, full disks, concurrent runs: identical bytes, or a one-line message."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ def test_two_at_once_and_then_killed(robot: Robot, tmp_path: Path, caplog: pytes
 
 
 def test_a_real_limit_on_the_size_of_files(robot: Robot, tmp_path: Path) -> None:
-    """What a quota does: the NetCDF library cannot write on, and the command ends with one line."""
+    """A disk quota: the NetCDF library cannot continue, and the command ends with one line."""
     path = tmp_path / "atlas.nc"
 
     def limited() -> None:

@@ -1,4 +1,4 @@
-"""Boundaries of sets whose shape is known: sharp edges, corners, tips, holes and parts."""
+"""Boundaries of sets of known shape: sharp edges, corners, tips, holes and parts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TURN = np.linalg.qr([[3.0, 1.0, 0.5], [-1.0, 2.0, 0.3], [0.2, -0.7, 1.9]])[0]
 
 
 def polytope(normals: Array, distances: Array) -> Callable[[Array], Flags]:
-    """Return the sums of the planes n p <= d that points are beyond."""
+    """Return bit masks of the planes n p <= d that points are beyond."""
 
     def broken(points: Array) -> Flags:
         return ((points @ normals.T > distances) @ (1 << np.arange(len(normals)))).astype(np.uint32)
@@ -40,7 +40,7 @@ def closed(faces: BoundaryFaces) -> bool:
 
 
 def areas(faces: BoundaryFaces) -> Array:
-    """Vectors across quadrilaterals as long as their area."""
+    """Normals of quadrilaterals with the length of their area."""
     p = faces.corners
     return 0.5 * np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 1])
 
@@ -49,7 +49,7 @@ def test_a_turned_cube_has_its_edges_and_corners() -> None:
     normals, distances = np.vstack([TURN, -TURN]), np.full(6, 0.5)
     faces = boundary_faces(polytope(normals, distances), box(0.9, 3), 21)
     assert closed(faces)
-    # corners stand on the planes that are broken behind their face, those on edges on two, those at corners on three
+    # corners are on the planes that are broken behind their face: on edges on two, at corners on three
     side = np.log2(faces.limits).astype(int)
     off = np.einsum("nkd,nd->nk", faces.corners, normals[side]) - 0.5
     assert np.abs(off).max() < 0.01 * 1.8 / 19  # a hundredth of a cell
@@ -72,7 +72,7 @@ def test_a_ball_is_round(cells: int) -> None:
 
 
 def test_a_plane_set_with_a_hole_and_a_tip() -> None:
-    """A slender triangle of base 0.3 and height 1.5, with a round hole, beside a turned square of side 0.2."""
+    """A slender triangle of base 0.3 and height 1.5, with a round hole, next to a rotated square of side 0.2."""
     across, along = np.array([np.cos(0.4), np.sin(0.4)]), np.array([-np.sin(0.4), np.cos(0.4)])
     square = polytope(np.array([across, along, -across, -along]), np.full(4, 0.1))
     triangle = polytope(np.array([[-1.0, 0.1], [1.0, 0.1], [0.0, -1.0]]), np.array([0.1, 0.1, 0.5]))

@@ -36,7 +36,7 @@ def mapped(tripod_errors: GeometricErrors) -> xr.Dataset:
 
 
 def test_the_map_holds_the_budget_of_each_pose(mapped: xr.Dataset, tripod_errors: GeometricErrors) -> None:
-    """The deflection along z is 500 N times C_zz; beyond the limits there is nothing."""
+    """The deflection along z is 500 N times C_zz; beyond the limits there is none."""
     robot = tripod_errors.robot
     poses = robot.solve(whole_workspace_grid(robot, 5), on_failure="nan")
     assert np.array_equal(np.isfinite(mapped.tip_rms.values), poses.within_limits)

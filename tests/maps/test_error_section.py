@@ -53,7 +53,7 @@ def test_each_value_stands_at_its_pose(tripod: Tripod, tripod_errors: GeometricE
 
 
 def test_sections_of_any_robot(tripod_errors: GeometricErrors, tripod: Tripod, serial_arm: Robot) -> None:
-    """The first two coordinates with ranges, the others in the middle of theirs; or those that are named."""
+    """The first two coordinates with ranges, the others in the middle of theirs; or the given ones."""
     default = section_grid(tripod_errors.robot, points=3)
     assert default is not None
     np.testing.assert_allclose(default.axes["theta_x"], np.radians([-40.0, 0.0, 40.0]))

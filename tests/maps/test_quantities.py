@@ -1,4 +1,4 @@
-"""Quantities of maps on robots of every kind, against closed forms and the engine that each comes from."""
+"""Quantities of maps on robots of every kind, against closed forms and the underlying engine."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_the_chapters_numbers_are_the_tripods_alone(name: str) -> None:
 
 
 def hexapod_stiffness(robot: Robot, coordinates: Array) -> Array:
-    """K = J^T k J of six axial springs between base and platform joints, read off the model at home."""
+    """K = J^T k J of six axial springs between base and platform joints, from the model at home."""
     frames = {frame.name: index for index, frame in enumerate(robot.model.frames)}
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, robot.home.q)
@@ -156,7 +156,7 @@ def test_the_hexapod_is_six_springs() -> None:
 
 
 def test_a_five_bar_has_the_stiffness_of_its_free_motions() -> None:
-    """k of both motors over the elbows: 1/2 k dq^2 with dq the cranks' turns for a motion of the pen."""
+    """k of both motors through the elbows: 1/2 k dq^2, with the cranks' rotations dq for a motion of the pen."""
     robot = Robot.load(MACHINES / "five_bar" / "five_bar.urdf")
     mapped = MappedRobot(robot)
     pens = np.array([[0.0, 0.42], [0.03, 0.4], [-0.05, 0.44]])

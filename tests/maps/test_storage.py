@@ -1,4 +1,4 @@
-"""Maps on disk: they read back unchanged, and nothing remains of one that cannot be written."""
+"""Maps on disk: they round-trip, and nothing remains of one that cannot be written."""
 
 from __future__ import annotations
 

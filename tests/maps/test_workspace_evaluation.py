@@ -1,4 +1,4 @@
-"""The stiffness over the whole workspace, against plain NumPy: Theory's formulas and weights written out here."""
+"""The stiffness over the whole workspace, against plain NumPy with the formulas and weights of the theory page."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_the_tripod(mechanism: Robot) -> None:
     assert found.indices["least_conditioning"] == pytest.approx(np.min(conditions), rel=2e-5)
     names = [*(f"actuator{leg}" for leg in (1, 2, 3)), *(f"link{leg}" for leg in (1, 2, 3)), "passive_leg"]
     assert len(found.springs) == 42
-    for rank in found.springs:  # what a tenth more really brings, solved again, is between both numbers
+    for rank in found.springs:  # the true effect of a tenth more, solved again, is between both numbers
         true = w @ gains[:, names.index(rank.spring), AXES.index(rank.axis)]
         assert rank.gain_of_10_percent_at_least - 1e-6 <= true <= rank.gain_of_10_percent_at_most + 1e-6
     for axis in AXES:

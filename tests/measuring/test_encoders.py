@@ -48,7 +48,7 @@ def _measured(errors: GeometricErrors, machine: Poses, joints: dict[str, str]) -
     ],
 )
 def test_derivatives_are_those_of_finite_differences(name: str, joints: dict[str, str]) -> None:
-    """By errors, by the drives, by their drift and by the zeros: of a machine that is a tolerance off."""
+    """By errors, drives, their drift and zeros: of a machine that is a tolerance off."""
     errors = GeometricErrors.load(name)
     rng = np.random.default_rng(0)
     nominal = reachable_poses(errors.robot, 4, rng)
@@ -116,7 +116,7 @@ def test_the_plan_counts_them(tripod_errors: GeometricErrors, tripod_nominal: Po
 
 
 def test_they_make_a_calibration_from_positions_better(tripod_errors: GeometricErrors, tmp_path: Path) -> None:
-    """The tool point is in the universal joint: positions say nothing about the tilts, its two encoders do."""
+    """The tool point is in the universal joint: its two encoders determine the tilts, positions do not."""
     robot, rng = tripod_errors.robot, np.random.default_rng(6)
     nominal, wanted = reachable_poses(robot, 40, rng), reachable_poses(robot, 20, rng)
     truth = tripod_errors.apply(tripod_errors.sample(rng))
@@ -171,7 +171,7 @@ def test_what_is_wrong_with_encoders_is_named(tripod_nominal: Poses, tmp_path: P
 
 
 def test_noise_of_encoders_that_is_said_to_be_too_large_is_named_as_theirs() -> None:
-    """With positions, their readings take the place of the orientations of full poses."""
+    """With positions, their readings replace the orientations of full poses."""
     found = SimpleNamespace(
         noise_factor=1.0,
         trusted=np.arange(20),

@@ -24,11 +24,11 @@ from pm3dof_pin.measuring.registration import Registration, register
 
 TARGETS = np.array([[0.12, 0.0, 0.01], [-0.06, 0.1, 0.0], [-0.06, -0.1, -0.02]])
 BASE = pin.SE3(pin.exp3(np.array([0.4, -0.7, 1.9])), np.array([3.0, -1.5, 0.8]))
-"""Where the base stands in the tracker's axes."""
+"""Placement of the base in the tracker's axes."""
 
 
 def target_rows(commands: np.ndarray, transforms: np.ndarray, points: np.ndarray, sigma: float = 15e-6) -> Measurements:
-    """Positions of the targets, all of a pose one after the other."""
+    """Positions of the targets, pose by pose."""
     seen = transforms[:, None, :3, 3] + np.einsum("nij,kj->nki", transforms[:, :3, :3], points)
     rows = len(commands) * len(points)
     return Measurements(
@@ -43,7 +43,7 @@ def target_rows(commands: np.ndarray, transforms: np.ndarray, points: np.ndarray
 
 @pytest.fixture
 def everything(tripod_nominal: Poses) -> Measurements:
-    """Targets seen from a frame of the tracker's own, with times and approaches."""
+    """Targets measured in the tracker's own frame, with times and approaches."""
     poses, generator = tripod_nominal[:6], np.random.default_rng(0)
     rows = target_rows(poses.commands, poses.transforms, TARGETS)
     approaches = np.repeat(generator.choice([-1.0, 1.0], (6, 3)), 3, axis=0)
@@ -61,7 +61,7 @@ def test_times_and_directions_are_written_and_read(
 
 
 def test_derivatives_are_those_of_finite_differences(everything: Measurements, tripod_nominal: Poses) -> None:
-    """What is removed of a parameter takes as much from the residuals as its derivative says."""
+    """Removing part of a parameter changes the residuals as its derivative says."""
     poses = tripod_nominal[:6][everything.pose_numbers]
     nuisances = Nuisances.of(everything, ("m", "m", "m"))
     assert len(nuisances) == 6 + 9 + 9 + 3
@@ -76,7 +76,7 @@ def test_derivatives_are_those_of_finite_differences(everything: Measurements, t
 
 
 def _numerical_ranks(errors: GeometricErrors, poses: Poses) -> list[int]:
-    """Rank of full poses by the parameters, and beside that by the frame, by central differences of closed loops."""
+    """Rank of full poses by the parameters, and with the frame, by central differences of closed loops."""
 
     def seen(values: np.ndarray, frame: np.ndarray) -> np.ndarray:
         base = pin.SE3(pin.exp3(frame[3:]), frame[:3]).homogeneous

@@ -29,7 +29,7 @@ def errors() -> GeometricErrors:
 
 
 def _file(robot: Robot, machine: Robot, path: Path, rng: np.random.Generator, *, distances: bool) -> Path:
-    """Write what a printer's owner measures: the bed is touched, and marks are printed and measured."""
+    """Write a printer owner's measurements: the bed is probed, and marks are printed and measured."""
     touched, marks = machine.solve(BED).commands, robot.solve(ENDS).commands
     lines = [[*u, rng.normal(0.0, 1e-5), 1e-5, "", "", "", "", ""] for u in touched.tolist()]
     if distances:
@@ -112,7 +112,7 @@ def test_derivatives_are_those_of_finite_differences(
 def test_a_machine_without_noise_leaves_no_residual(
     mixed: tuple[Measurements, Poses], tripod_errors: GeometricErrors
 ) -> None:
-    """Small motions that are taken off are those of the distances, too."""
+    """Small motions are removed from distances too."""
     measurements, nominal = mixed
     truth = tripod_errors.sample(np.random.default_rng(2))
     machine = tripod_errors.apply(truth).forward(nominal.commands, guess=nominal.q)
@@ -202,7 +202,7 @@ def test_a_sphere_tells_its_centre_and_the_machine(errors: GeometricErrors, tmp_
 
 
 def test_heights_above_a_bed_of_its_own(errors: GeometricErrors, tmp_path: Path) -> None:
-    """The bed is 2 mm low and tilted by 3 mrad: `own_frame` finds that, and the heights are the machine's again."""
+    """The bed is 2 mm low and tilted by 3 mrad: `own_frame` finds this, and the heights are the machine's again."""
     robot, machine = errors.robot, errors.apply(errors.sample(np.random.default_rng(3)))
     tilt, low = 3e-3, 2e-3
     commands = robot.solve(BED).commands

@@ -30,7 +30,7 @@ Run = Callable[..., Any]
 def test_commands_are_slider_travels(
     tripod: Tripod, tripod_errors: GeometricErrors, tripod_nominal: Poses, tmp_path: Path
 ) -> None:
-    """As `pm3dof ik` prints them, to the last digits."""
+    """As printed by `pm3dof ik`, to the last digits."""
     problem = PlanningProblem(tripod_errors, tripod_nominal[:50])
     plan = problem.plan(9, "random", np.random.default_rng(0))
     rows = list(csv.DictReader(write_plan(plan.poses, tmp_path / "plan.csv").read_text().splitlines()))

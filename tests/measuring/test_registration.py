@@ -1,4 +1,4 @@
-"""Measurements in a frame of the instrument's own: the base is found in it."""
+"""Measurements in the instrument's own frame: the base is found in it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pm3dof_pin.measuring.registration import register
 from pm3dof_pin.simulation.worlds import World
 
 BASE = pin.SE3(pin.exp3(np.array([0.4, -1.9, 0.8])), np.array([2.1, -0.7, 1.3]))
-"""Where the base stands in the frame of the instrument."""
+"""Placement of the base in the frame of the instrument."""
 
 
 def seen_from(base: pin.SE3, measurements: Measurements) -> Measurements:
@@ -74,13 +74,13 @@ def test_noise_turns_with_the_axes() -> None:
 def test_a_calibration_is_as_good_from_anywhere(
     tripod_errors: GeometricErrors, tripod_nominal: Poses, tmp_path: Path
 ) -> None:
-    """What commands can do for the tip, by cross-validation, against a measurement in the frame of the base."""
+    """Tip accuracy achievable by commands, by cross-validation, against a measurement in the base frame."""
     world = World.random("geometry", tripod_errors, np.random.default_rng(2))
     at_base = world.measure(tripod_nominal.commands[:40], np.random.default_rng(3))
     path = write_measurements(seen_from(BASE, at_base), tripod_errors.robot, tmp_path / "tracker.csv")
     elsewhere = read_measurements(path, tripod_errors.robot, own_frame=True)
     assert elsewhere.registration is not None
-    # the base is where it is, but for what errors that move everything alike make of it
+    # the base is found, except for errors that move everything alike
     np.testing.assert_allclose(elsewhere.registration.base, BASE.homogeneous, atol=5e-3)
     excess = [
         np.sqrt(np.mean(held_out_errors(calibrate(measured, tripod_errors, Options("lm"))).excess ** 2))

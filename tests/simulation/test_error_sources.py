@@ -127,7 +127,7 @@ def test_the_truth_has_six_errors_at_every_joint(tripod_errors: GeometricErrors)
 
 
 def test_sources_alone_and_together(tripod_errors: GeometricErrors) -> None:
-    """Small errors add up; what is left over is their product."""
+    """Small errors add up; the remainder is their product."""
     machine, rng = _machine(tripod_errors), np.random.default_rng(1)
     commands = 0.240272 + rng.uniform(-0.04, 0.04, (12, 3))
     conditions = Conditions(rng.uniform(0.0, 10.0, (12, 3)), [50.0, 0.0, -30.0, 0.0, 1.0, 0.0])
@@ -146,7 +146,7 @@ def test_sources_alone_and_together(tripod_errors: GeometricErrors) -> None:
 
 
 def test_straightness_moves_the_carriage_beside_its_line(mechanism: Robot) -> None:
-    """A constant wave across, horizontally, is a parallel guideway."""
+    """A constant horizontal wave across the travel is a parallel guideway."""
     flat = Wave(2e-5, 1.0, np.pi / 2.0)
     waves = GuideWaviness(((), (), ()), (((flat,), ()), ((), ()), ((), ())))
     crooked = SimulatedMachine(mechanism, waviness=waves).poses([HOME])

@@ -25,7 +25,7 @@ def world(tripod_errors: GeometricErrors) -> World:
 
 
 def test_a_weight_on_the_tool_moves_it_by_the_compliance(world: World, tripod_nominal: Poses) -> None:
-    """C f with C of the general engine at the pose, on a machine that is otherwise as described."""
+    """C f with C of the general engine at the pose, on an otherwise perfect machine."""
     nominal = tripod_nominal[:5]
     elastic = world.loaded(60.0).only("elastic")
     weights = np.linspace(10.0, 50.0, 5)
