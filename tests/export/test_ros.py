@@ -17,7 +17,7 @@ import pytest
 import yaml
 
 from pm3dof_pin.description.expand import expand_xacro
-from pm3dof_pin.description.robots import robots_directory
+from pm3dof_pin.description.robots import robot_names, robots_directory
 from pm3dof_pin.export.formats import export_robot
 from pm3dof_pin.export.ros import ros_package_name
 from pm3dof_pin.kinematics.robot import Robot
@@ -99,18 +99,26 @@ def test_the_rviz_file_shows_the_robot_in_its_base(robot: str) -> None:
     assert model["Description Topic"]["Value"] == "/robot_description"
 
 
-@pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
-def test_a_package_installs_by_itself(tmp_path: Path, robot: str) -> None:
-    """Copied into an empty workspace and installed into a separate folder, as by colcon, it needs nothing else.
+def test_a_package_needs_no_other(tmp_path: Path, robot: str) -> None:
+    folder = shutil.copytree(_package(robot), tmp_path / f"{robot}_description")
+    committed = (_package(robot) / "urdf" / f"{robot}.urdf").read_text(encoding="utf-8")
+    assert expand_xacro(folder / "xacro" / f"{robot}.urdf.xacro") == committed
 
-    Uses an ament_cmake that has only its last command.
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
+def test_a_package_installs_by_itself(tmp_path: Path) -> None:
+    """Copied into an empty workspace and installed into a separate folder, as by colcon, with all its contents.
+
+    Uses an ament_cmake that has only its last command. The packages of all robots are installed alike.
     """
+    name = "pm3dof_description"
+    recipes = [(_package(robot) / "CMakeLists.txt").read_text().replace(robot, "pm3dof") for robot in robot_names()]
+    assert set(recipes) == {(_package("pm3dof") / "CMakeLists.txt").read_text()}
     ament = tmp_path / "ament"
     ament.mkdir()
     (ament / "ament_cmakeConfig.cmake").write_text("macro(ament_package)\nendmacro()\n")
-    name = f"{robot}_description"
     source, build, prefix = tmp_path / "src" / name, tmp_path / "build", tmp_path / "install" / name
-    shutil.copytree(_package(robot), source)
+    shutil.copytree(_package("pm3dof"), source)
     for command in (
         ["cmake", "-S", str(source), "-B", str(build), f"-Dament_cmake_DIR={ament}"],
         ["cmake", "--install", str(build), "--prefix", str(prefix)],
@@ -119,10 +127,10 @@ def test_a_package_installs_by_itself(tmp_path: Path, robot: str) -> None:
         assert done.returncode == 0, done.stderr
     share = prefix / "share" / name
     shutil.rmtree(source)
-    for path in (f"urdf/{robot}.urdf", f"srdf/{robot}.srdf", "launch/display.launch.py", "rviz/display.rviz"):
+    for path in ("urdf/pm3dof.urdf", "srdf/pm3dof.srdf", "launch/display.launch.py", "rviz/display.rviz"):
         assert (share / path).is_file()
-    committed = (_package(robot) / "urdf" / f"{robot}.urdf").read_text(encoding="utf-8")
-    assert expand_xacro(share / "xacro" / f"{robot}.urdf.xacro") == committed
+    committed = (_package("pm3dof") / "urdf" / "pm3dof.urdf").read_text(encoding="utf-8")
+    assert expand_xacro(share / "xacro" / "pm3dof.urdf.xacro") == committed
 
 
 def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path, ros: Callable[[Path], None]) -> None:
