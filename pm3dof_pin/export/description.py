@@ -5,7 +5,9 @@ from __future__ import annotations
 import atexit
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -34,8 +36,7 @@ def temporary_description(robot: str, config: Path | str) -> Path:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     for path, text in texts.items():
         write_text_atomically(folder / path, text)
-    whole = yaml.safe_dump(read_parameters(config), sort_keys=False)
-    write_text_atomically(folder / "config" / f"{name}.yaml", whole)
+    write_text_atomically(folder / "config" / f"{name}.yaml", _dumped(read_parameters(config)))
     return folder / "urdf" / f"{name}.urdf"
 
 
@@ -58,7 +59,7 @@ def packaged_description(robot: str, config: Path | str | None) -> tuple[str, di
         raise DescriptionError(config, "name", f"expected the name of the robot, not {name}")
     files = [folder / "xacro" / f"{robot}.{kind}.xacro" for kind in ("urdf", "closures", "srdf")]
     with tempfile.TemporaryDirectory() as temporary:
-        whole = write_text_atomically(Path(temporary) / config.name, yaml.safe_dump(parameters, sort_keys=False))
+        whole = write_text_atomically(Path(temporary) / config.name, _dumped(parameters))
         try:
             urdf, *others = expand_together(files, {"config": str(whole)})
             closures = closures_text(files[1], others[0])
@@ -70,3 +71,8 @@ def packaged_description(robot: str, config: Path | str | None) -> tuple[str, di
             raise DescriptionError(config, element, expected) from error
         srdf = srdf_text(files[2], others[1], urdf, closures)
     return name, {f"urdf/{name}.urdf": urdf, f"urdf/{name}.closures.yaml": closures, f"srdf/{name}.srdf": srdf}
+
+
+def _dumped(parameters: Mapping[str, Any]) -> str:
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # libyaml, if available
+    return str(yaml.dump(parameters, Dumper=dumper, sort_keys=False))
