@@ -178,7 +178,6 @@ def test_a_missing_mesh_is_named(run: Run, four_bar: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('type="continuous"', 'type="planar"', "joint 'crank_joint': expected a joint type of URDF"),
         ("<mesh filename=", "<capsule filename=", "<visual>: expected a box, cylinder, sphere, mesh"),
     ],
 )

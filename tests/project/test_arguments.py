@@ -94,15 +94,15 @@ def test_a_count_that_is_none(count: Any, mechanism: Robot) -> None:
 def test_a_name_is_no_robot_and_poses_are_no_configuration(mechanism: Robot, tmp_path: Path) -> None:
     grid, name = mechanism.grid(z_e=3), "pm3dof"
     takers: list[tuple[str, Callable[[Any], Any]]] = [
-        ("a Robot, as pm.load gives", pm.ElasticModel),
-        ("a Robot, as pm.load gives", pm.GeometricErrors),
-        ("a Robot, as pm.load gives", pm.Viewer),
-        ("a Robot, as pm.load gives", lambda robot: stiffness(robot, mechanism.home.q)),
-        ("a Robot, as pm.load gives", lambda robot: Atlas(robot, grid, ("commands",), tmp_path / "a.nc")),
-        ("a Grid, as Robot.grid gives", lambda word: Atlas(mechanism, word, ("commands",), tmp_path / "a.nc")),
-        ("an ElasticModel, as pm.ElasticModel.load gives", lambda m: pm.cartesian_compliance(m, mechanism.home)),
-        ("a Configuration, as Poses.configuration gives", pm.singularities),
-        ("a Configuration, as Poses.configuration gives", pm.instantaneous_mobility),
+        ("a Robot, as returned by pm.load", pm.ElasticModel),
+        ("a Robot, as returned by pm.load", pm.GeometricErrors),
+        ("a Robot, as returned by pm.load", pm.Viewer),
+        ("a Robot, as returned by pm.load", lambda robot: stiffness(robot, mechanism.home.q)),
+        ("a Robot, as returned by pm.load", lambda robot: Atlas(robot, grid, ("commands",), tmp_path / "a.nc")),
+        ("a Grid, as returned by Robot.grid", lambda word: Atlas(mechanism, word, ("commands",), tmp_path / "a.nc")),
+        ("an ElasticModel, as returned by pm.ElasticModel.load", lambda m: pm.cartesian_compliance(m, mechanism.home)),
+        ("a Configuration, as returned by Poses.configuration", pm.singularities),
+        ("a Configuration, as returned by Poses.configuration", pm.instantaneous_mobility),
         ("expected one of hexapod", lambda _: pm.load(3)),  # type: ignore[arg-type]
     ]
     for expected, take in takers:
