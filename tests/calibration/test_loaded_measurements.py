@@ -154,10 +154,10 @@ def test_springs_that_are_not_there(tripod_nominal: Poses) -> None:
         spring_deflections(tripod_nominal[:2], np.ones((1, 6)))
 
 
-@pytest.mark.usefixtures("report_without_pictures")
+@pytest.mark.usefixtures("report_without_pictures", "few_folds")
 def test_the_commands(answer: Callable[..., dict[str, Any]], run: Callable[..., Any], tmp_path: Path) -> None:
     loads = [str(number) for number in STRONGEST]
-    plan = ("calibration-plan", "--poses", "24", "--candidates", "60", "--strategy", "random", "--out", "plan.csv")
+    plan = ("calibration-plan", "--poses", "16", "--candidates", "60", "--strategy", "random", "--out", "plan.csv")
     planned = answer(*plan, "--wrench", *loads, cwd=tmp_path)
     assert planned["predicted_stiffness_sigma_of_logarithm"]["passive_leg"] < 0.1
     answer("measure", "--plan", "plan.csv", "--out", "m.csv", cwd=tmp_path)
@@ -183,7 +183,7 @@ def test_the_commands(answer: Callable[..., dict[str, Any]], run: Callable[..., 
 
 
 def test_one_number_a_spring_is_what_measurements_tell() -> None:
-    """Diagonal entries of the 3-RPS machine's beams one by one, by finite differences: half are equal to others."""
+    """Diagonal entries of two beams of the 3-RPS machine one by one, by finite differences: half equal others."""
     robot, generator = Robot.load("three_rps"), np.random.default_rng(1)
     poses = reachable_poses(robot, 5, np.random.default_rng(0))
     wrenches = generator.uniform(-1.0, 1.0, (5, 6)) * [100.0, 100.0, 100.0, 20.0, 20.0, 20.0]
@@ -201,7 +201,7 @@ def test_one_number_a_spring_is_what_measurements_tell() -> None:
         return springs
 
     step = 1e-4
-    beams = [place for place, spring in enumerate(robot.springs) if "matrix" in spring]
+    beams = [place for place, spring in enumerate(robot.springs) if "matrix" in spring][:2]
     entries = [
         (deflections(changed(place, entry, step)) - deflections(changed(place, entry, -step))).ravel() / (2.0 * step)
         for place in beams

@@ -37,6 +37,9 @@ def calibration(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Calibr
     return calibrate(measured, tripod_errors, Options("lm+gp"))
 
 
+pytestmark = pytest.mark.usefixtures("few_folds")
+
+
 @pytest.fixture(scope="module")
 def held_out(calibration: Calibration) -> HeldOut:
     return held_out_errors(calibration)
