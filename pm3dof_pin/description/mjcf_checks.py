@@ -42,7 +42,7 @@ _JOINT_NUMBERS: dict[str, tuple[Bounds, tuple[int, ...]]] = {
     "range": (ANY, (2,)),
 }
 _SHAPE_NUMBERS: dict[str, tuple[Bounds, tuple[int, ...]]] = {"size": (SIZE, (1, 2, 3))}
-_MOST_FREE = 40  # free joints, of which Pinocchio's reader takes memory with the fourth power: a gigabyte for 50
+_MOST_FREE = 40  # free joints: the memory of Pinocchio's reader grows with their fourth power, a gigabyte for 50
 _DIRECTIONS = ("quat", "axis", "zaxis")
 _SECTIONS = ("worldbody", "default", "equality", "keyframe", "option")
 

@@ -28,7 +28,7 @@ def read_xml(path: Path | str) -> ElementTree.Element:
 
 
 def read_root_tag(path: Path | str) -> str:
-    """Read the name of the root element, and no more of the file than that takes; errors as of :func:`read_xml`."""
+    """Read the name of the root element, and no more of the file than needed; raises as :func:`read_xml`."""
     reader = _Reader(path)
     reader.read(until_root=True)
     return reader.root_tag

@@ -110,7 +110,7 @@ class _Writer:
             if bound is not None:
                 SubElement(limit, tag).text = number_text(bound - self._robot.home_position(joint))
         is_actuated = joint.name in self._robot.mechanism.actuated_joints
-        effort = (joint.effort or None) if is_actuated else joint.effort  # a drive with effort 0 is no drive in Drake
+        effort = (joint.effort or None) if is_actuated else joint.effort  # Drake ignores drives with effort 0
         for tag, greatest in (("effort", effort), ("velocity", joint.velocity)):
             if greatest is not None:
                 SubElement(limit, tag).text = number_text(greatest)

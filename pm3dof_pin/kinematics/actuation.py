@@ -38,7 +38,7 @@ def motion_components(configuration: Configuration) -> tuple[ToolComponent, ...]
 
 
 def independent_drives(configuration: Configuration) -> list[int]:
-    """Choose the actuated joints, by position, that can move one by one: the most independent ones in scaled numbers.
+    """Choose actuated joints, by index, that can move independently: the most independent ones in scaled numbers.
 
     All of them, unless there are more than degrees of freedom or the pose is singular. InvalidValueError if the loops
     are not closed.
@@ -101,7 +101,7 @@ def actuation_jacobian(configuration: Configuration) -> Matrix:
 
 
 def _most_independent(image: Matrix) -> list[int]:
-    """Return as many rows as there are columns, shape=(rows, columns), that tell most; its columns are orthonormal."""
+    """Return the indices of the most independent rows, as many as columns, of an image with orthonormal columns."""
     from scipy.linalg import qr  # most robots declare their coordinates
 
     # rounded, so that the choice among equally good ones does not depend on the last digits

@@ -41,7 +41,7 @@ _logger = logging.getLogger(__name__)
 _GREATEST = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
 _HOME = "home"
 _MANY = 32  # poses that justify a program
-_CONTRADICTION = 1e-6  # of commands of redundant drives [rad, characteristic lengths]
+_CONTRADICTION = 1e-6  # least difference of contradicting commands of redundant drives [rad, characteristic lengths]
 
 
 class Robot(Mechanism):
@@ -417,11 +417,11 @@ class Robot(Mechanism):
                 if drives := independent_drives(generic_configuration(self.home)):
                     return drives
             except (ConvergenceError, InvalidValueError):
-                pass  # no loops that close: the solvers say so
+                pass  # the loops do not close: the solvers report it
         return list(range(len(self.commands)))
 
     def _contradictions(self, q: Matrix, commands: Matrix) -> Matrix:
-        """Return by how much the commands at q are off those given, shape=(n, number of commands) [m, rad]."""
+        """Return the differences of the commands at q from those given, shape=(n, number of commands) [m, rad]."""
         coordinates = self.command_coordinates
         differences, turns = self.read(coordinates, q) - commands, turns_of(self, coordinates)
         angles = np.isfinite(turns)
@@ -433,7 +433,7 @@ class Robot(Mechanism):
         worst = int(np.argmax(np.abs(off / units_of(self, coordinates))))
         name, unit = coordinates[worst].name, coordinates[worst].unit
         reason = (
-            f"{', '.join(coordinates[k].name for k in placing)} alone place it, and bring {name} to "
+            f"{', '.join(coordinates[k].name for k in placing)} alone determine the pose, with {name} at "
             f"{commands[worst] + off[worst]:.9g} {unit}, not {commands[worst]:.9g}"
         )
         return UnreachablePoseError(f"{self.name}: the commands contradict each other{which}: {reason}", None, reason)

@@ -77,7 +77,7 @@ class Program:
 
     @cached_property
     def lines(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
-        """Name of the operation and numbers of its operands, for every line."""
+        """Name of the operation and numbers of its operands, by line."""
         return tuple(
             (_NAMES[code], (a,) if b < 0 else (a, b) if c < 0 else (a, b, c))
             for code, a, b, c in zip(self.codes, *self.operands.tolist(), strict=True)
