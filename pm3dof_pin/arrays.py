@@ -61,9 +61,9 @@ def require_choice(name: str, value: object, choices: Any) -> None:
 
 
 def require_count(name: str, value: object, least: int = 1) -> None:
-    """Raise InvalidValueError unless a value is an integer of at least `least`."""
+    """Raise InvalidValueError unless a value is a whole number of at least `least`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise InvalidValueError(name, value, f"an integer of at least {least}")
+        raise InvalidValueError(name, value, f"a whole number of at least {least}")
 
 
 def require_kind(name: str, value: object, kind: type, origin: str) -> None:

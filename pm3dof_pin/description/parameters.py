@@ -317,7 +317,7 @@ class _Reader:
     def moments(self, key: str, mass: float) -> Vector:
         vector = self.vector(key, 3)
         if (vector < 0.0).any() or (problem := inertia_problem(mass, np.diag(vector))):
-            problem = "expected no negative moment" if (vector < 0.0).any() else problem
+            problem = "expected nonnegative moments" if (vector < 0.0).any() else problem
             raise DescriptionError(self.path, f"{key}.value", problem)
         return vector
 

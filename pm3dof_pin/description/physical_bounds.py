@@ -26,7 +26,7 @@ class Bounds:
             guess = f" ({self.slip})" if self.slip and abs(number) < 1e6 * self.greatest else ""
             return f"expected at most {self.greatest:g}{self._unit}, not {number:g}{guess}"
         if number < 0.0 and not self.negative:
-            return f"expected no negative number, not {number:g}{self._unit}"
+            return f"expected a nonnegative number, not {number:g}{self._unit}"
         if abs(number) < self.least and (number or not self.negative):
             return f"expected at least {self.least:g}{self._unit}, not {number:g}"
         return ""

@@ -177,7 +177,7 @@ class ElasticModel:
             return configuration
         if configuration.mechanism is self.rigid:
             return self.mechanism.configuration(self.embed(configuration.q))
-        raise InvalidValueError("configuration", configuration, f"one of {self.rigid} or its elastic model")
+        raise InvalidValueError("configuration", configuration, f"a configuration of {self.rigid} or its elastic model")
 
     def length(self, block: SpringBlock, configuration: Configuration) -> float:
         """Return the length of a spring if a joint changes it, else 1 [m]; InvalidValueError unless positive."""

@@ -172,7 +172,7 @@ class Configuration:
 def require_assembled(configuration: Configuration) -> None:
     """Raise InvalidValueError unless the loops are closed."""
     if configuration.closure_residual > ASSEMBLED_TOLERANCE * configuration.mechanism.characteristic_length:
-        raise InvalidValueError("configuration", configuration, "one whose loops are closed")
+        raise InvalidValueError("configuration", configuration, "a configuration with closed loops")
 
 
 def mechanism_of(configuration: Configuration) -> Mechanism:

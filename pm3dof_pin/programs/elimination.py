@@ -229,7 +229,7 @@ def typical(values: Array | float) -> float:
     """Return the median over the samples at which a number exists; ProgramError if it exists at none."""
     finite = np.asarray(values)[np.isfinite(values)]
     if not finite.size:
-        raise ProgramError("a number of the program exists at none of its sample poses")
+        raise ProgramError("a number of the program is undefined at all sample poses")
     return float(np.median(finite))
 
 

@@ -44,9 +44,9 @@ UNITS: dict[tuple[EllipsoidQuantity, Motion], str] = {
 """Units of principal values."""
 
 EXPLANATIONS: dict[MotionQuantity, str] = {
-    "velocity": "commands of unit speed together",
-    "force": "actuator forces of unit size together",
-    "error": "standard deviation for the tolerances",
+    "velocity": "command rates of unit norm",
+    "force": "actuator forces of unit norm",
+    "error": "standard deviation due to the tolerances",
 }
 """Explanations of velocity, force and error ellipsoids."""
 

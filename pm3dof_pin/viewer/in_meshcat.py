@@ -34,7 +34,7 @@ def draw_in_meshcat(
     """
     robot = configuration.mechanism
     if not isinstance(robot, Robot):
-        raise InvalidValueError("configuration", configuration, "one of a Robot")
+        raise InvalidValueError("configuration", configuration, "a configuration of a Robot")
     viewer = Viewer(robot, sliders=False)
     viewer.display(configuration)
     drawn = []

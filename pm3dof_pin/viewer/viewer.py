@@ -132,7 +132,7 @@ class Viewer(ShownScene):
         if not isinstance(configuration, Configuration):
             configuration = self.mechanism.configuration(configuration)
         if configuration.mechanism is not self.mechanism:
-            raise InvalidValueError("configuration", configuration, f"one of {self.mechanism}")
+            raise InvalidValueError("configuration", configuration, f"a configuration of {self.mechanism}")
         self._configuration = configuration
         for entry in [entry for entry in self._entries.values() if entry.of_pose]:
             self._take_away(entry)

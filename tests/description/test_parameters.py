@@ -97,7 +97,7 @@ def _remove(section: str, name: str, key: str | None = None) -> Callable[[Tree],
         (
             _set("inertia", "link_mass", value=-0.1),
             "inertia.link_mass.value",
-            "expected no negative number, not -0.1 kg",
+            "expected a nonnegative number, not -0.1 kg",
         ),
         (_set("inertia", "link_mass", value=[0.1, 0.2]), "inertia.link_mass.value", "one number, not a list"),
         (_set("inertia", "link_mass", unit="lb"), "inertia.link_mass.unit", "expected one of 1, m, kg, kg m^2"),

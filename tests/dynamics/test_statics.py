@@ -263,7 +263,7 @@ def test_loads_on_frames_that_are_not_there_are_refused(mechanism: Robot) -> Non
 def test_loops_that_are_open_are_refused(mechanism: Robot) -> None:
     q = np.array(mechanism.home.q)
     q[0] += 0.01
-    with pytest.raises(InvalidValueError, match="loops are closed"):
+    with pytest.raises(InvalidValueError, match="closed loops"):
         holding_forces(mechanism.configuration(q))
 
 

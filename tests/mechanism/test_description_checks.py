@@ -48,7 +48,7 @@ MJCF = """<mujoco model="arm"><worldbody><body name="forearm" pos="0 0 0.5">
     [
         ('mass value="2"', f'mass value="{wrong}"', r"link 'forearm': inertial: mass: value: .*" + said)
         for wrong, said in [
-            ("-3", "no negative number, not -3 kg"),
+            ("-3", "a nonnegative number, not -3 kg"),
             ("0,1945", "a decimal point, not a comma, not '0,1945'"),
             ("nan", "not 'nan'"),
             ("inf", "not 'inf'"),
@@ -66,7 +66,7 @@ MJCF = """<mujoco model="arm"><worldbody><body name="forearm" pos="0 0 0.5">
         ('xyz="0.1 0 0"', 'xyz="0.1 0"', "link 'forearm': inertial: origin: xyz: expected 3 numbers"),
         ('xyz="0.1 0 0"', 'xyz="0.1 0 1e9"', "link 'forearm': inertial: origin: xyz: expected at most 10000 m"),
         ('rpy="0 0 0"', 'rpy="0 90 0"', "link 'forearm': inertial: origin: rpy: .*looks like degrees"),
-        ('size="0.1', 'size="-0.1', "link 'forearm': visual: box: size: expected no negative"),
+        ('size="0.1', 'size="-0.1', "link 'forearm': visual: box: size: expected a nonnegative"),
         ('lower="-1"', 'lower="3"', "joint 'elbow': limit: expected lower <= upper, not 3 and 2"),
         ('upper="2"', 'upper="2 3"', "joint 'elbow': limit: upper: expected a number, not '2 3'"),
         ('axis xyz="0 0 1"', 'axis xyz="0 0 0"', "joint 'elbow': axis: expected a direction"),
@@ -120,15 +120,15 @@ def test_moments_of_no_body_give_no_equations_of_motion(
 @pytest.mark.parametrize(
     ("old", "new", "place"),
     [
-        ('mass="2"', 'mass="-2"', "<inertial>: mass: expected no negative"),
+        ('mass="2"', 'mass="-2"', "<inertial>: mass: expected a nonnegative"),
         ('mass="2"', 'mass="2,5"', "<inertial>: mass: .*a decimal point"),
         ('mass="2"', "", "<inertial>: has no mass"),
-        ('diaginertia="0.02 ', 'diaginertia="-5 ', "<inertial>: diaginertia: expected no negative"),
+        ('diaginertia="0.02 ', 'diaginertia="-5 ', "<inertial>: diaginertia: expected a nonnegative"),
         ('diaginertia="0.02 0.03 0.04"', 'fullinertia="0.02 0.03 0.04 1 0 0"', "<inertial>: inertia: its principal"),
         ('pos="0 0 0.5"', 'pos="0 0 nan"', "<body name='forearm'>: pos: expected a number, not 'nan'"),
         ('axis="0 0 1"', 'axis="0 0 0"', "<joint name='elbow'>: axis: expected a direction"),
         ('range="-60 90"', 'range="90 -60"', "<joint name='elbow'>: range: expected lower <= upper"),
-        ('stiffness="3"', 'stiffness="-3"', "<joint name='elbow'>: stiffness: expected no negative"),
+        ('stiffness="3"', 'stiffness="-3"', "<joint name='elbow'>: stiffness: expected a nonnegative"),
         ('size="0.1 0.1 0.1"', 'size="0.1 0.1 1e99"', "<geom>: size: expected at most"),
     ],
 )
@@ -152,7 +152,7 @@ def test_lengths_tolerances_and_springs_within_reach(tmp_path: Path) -> None:
         with pytest.raises(DescriptionError, match=r"classes.links.(length|angle)_tolerance_.*expected"):
             read_error_file(path)
     path.write_text("inertia: {mass: {value: -1.0, unit: kg, status: chosen, source: guess}}", encoding="utf-8")
-    with pytest.raises(DescriptionError, match=r"inertia\.mass\.value: expected no negative number, not -1 kg"):
+    with pytest.raises(DescriptionError, match=r"inertia\.mass\.value: expected a nonnegative number, not -1 kg"):
         read_quantities(path)
     for stiffness in (1e-320, 1e308, 0.0):
         spring = {"name": "k", "type": "joint", "joint": "j", "unit": "N/m", "stiffness": stiffness}

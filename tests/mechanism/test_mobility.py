@@ -79,7 +79,7 @@ def test_where_nothing_closes_there_is_no_generic_configuration() -> None:
 
 
 def test_open_loops_have_no_mobility(five_bar: Robot) -> None:
-    with pytest.raises(InvalidValueError, match="loops are closed"):
+    with pytest.raises(InvalidValueError, match="closed loops"):
         instantaneous_mobility(five_bar.home)
 
 
