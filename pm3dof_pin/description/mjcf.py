@@ -135,6 +135,7 @@ class _Reader:
         self.root = root
         self.sites: dict[str, str] = {}
         self.joints: dict[str, _JointSettings] = {}
+        self.limited_balls: list[str] = []
         self.defaults = {name: settings for tree in root.findall("default") for name, settings in _classes(tree, {})}
         self.taken: set[str] = set()
         self.degrees = all(compiler.get("angle") != "radian" for compiler in root.iter("compiler"))
@@ -153,6 +154,8 @@ class _Reader:
                     world.remove(child)
                     root.append(child)
         self._rewrite(root, next(iter(self.defaults), "main"))
+        if self.limited_balls:
+            _logger.warning("%s: the ranges of ball joints are ignored: %s", self.path, ", ".join(self.limited_balls))
         meshes = [body.attrib["name"] for body in root.iter("body") if body.find("geom[@mesh]") is not None]
         if unknown := [name for name in meshes if root.find(f".//body[@name='{name}']/inertial") is None]:
             _logger.warning(
@@ -229,7 +232,7 @@ class _Reader:
             unit = math.radians(1.0) if kind == "hinge" and self.degrees else 1.0
             limits = (unit * ends[0], unit * ends[-1])
         elif kind == "ball" and any(ends) and not unlimited:
-            _logger.warning("%s: the range of ball joint '%s' is ignored", self.path, joint.get("name"))
+            self.limited_balls.append(joint.attrib["name"])
         self.joints[joint.attrib["name"]] = _JointSettings(stiffness, unlimited, limits)
 
     def _equalities(self) -> Iterator[EqualityConstraint]:

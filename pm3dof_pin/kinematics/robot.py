@@ -91,12 +91,14 @@ class Robot(Mechanism):
 
     @cached_property
     def home(self) -> Configuration:
-        """The named configuration "home" or else Pinocchio's neutral one, with its loops closed if possible nearby.
+        """The named configuration "home" or else all zeros, with its loops closed if possible nearby.
 
+        In an open tree, joints whose limits exclude zero are put in the middle of their range, or at its end.
         The actuated joints keep their positions if the loops close that way. If no closed configuration is found, it is
         the described one: check its :attr:`Configuration.closure_residual`.
         """
-        described = self.configuration(self.named_configurations.get(_HOME, pin.neutral(self.model)))
+        named = self.named_configurations.get(_HOME)
+        described = self.configuration(self._zeros if named is None else named)
         if described.closure_residual <= CLOSURE_TOLERANCE:
             return described
         drives = {name: described.joint_position(name) for name in self.actuated_joints}
@@ -105,6 +107,16 @@ class Robot(Mechanism):
             if result.converged:
                 return result.configuration
         return described
+
+    @property
+    def _zeros(self) -> Vector:
+        q = np.array(pin.neutral(self.model))
+        lower, upper = self.lower_limits, self.upper_limits
+        for joint in () if self.closures else list(self.model.joints)[1:]:
+            ends = np.array([lower[joint.idx_q], upper[joint.idx_q]])
+            if joint.nq == 1 and not ends[0] <= 0.0 <= ends[1]:
+                q[joint.idx_q] = np.mean(ends) if np.isfinite(ends).all() else ends[np.isfinite(ends)][0]
+        return q
 
     @cached_property
     def program_source(self) -> ProgramSource:

@@ -47,7 +47,7 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
     for line in complaints:
         _logger.warning("%s: %s", urdf, line)
     if mimicking := [joint.get("name", "") for joint in root.findall("joint") if joint.find("mimic") is not None]:
-        _logger.warning("%s: <mimic> is ignored: %s are treated as independent", urdf, ", ".join(mimicking))
+        _logger.warning("%s: <mimic> is ignored; treated as independent: %s", urdf, ", ".join(mimicking))
     return with_joint_types(model, joint_types, source) if joint_types else model
 
 

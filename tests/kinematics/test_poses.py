@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -106,3 +108,15 @@ def test_arguments_are_checked(mechanism: Robot) -> None:
     with pytest.raises(InvalidValueError, match="theta_x, theta_y, z_e"):
         mechanism.grid(height=0.5)
     assert len(mechanism.forward(np.empty((0, 3)))) == 0
+
+
+def test_home_is_within_the_limits_of_an_arm(tmp_path: Path) -> None:
+    """Zero is excluded by the limits of two joints, which stand in the middle of their range."""
+    limits = {"a": (-1.0, 2.0), "b": (-3.0, -0.2), "c": (0.5, 1.5)}
+    joint = (
+        '<link name="{0}"/><joint name="{0}" type="revolute"><parent link="{1}"/><child link="{0}"/><axis xyz="0 0 1"/>'
+        '<limit lower="{2}" upper="{3}" effort="1" velocity="1"/></joint>'
+    )
+    parts = [joint.format(name, "0abc"[k], *ends) for k, (name, ends) in enumerate(limits.items())]
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="0"/>{"".join(parts)}</robot>')
+    np.testing.assert_allclose(Robot.load(tmp_path / "arm.urdf").home.q, [0.0, -1.6, 1.0])

@@ -191,7 +191,7 @@ def test_a_mimic_joint_is_not_passed_over_in_silence(write_robot: Writer, caplog
     )
     with caplog.at_level(logging.WARNING):
         Robot.load(write_robot(fingers, NO_CLOSURES))
-    assert "<mimic> is ignored: finger_joint" in caplog.text
+    assert "<mimic> is ignored; treated as independent: finger_joint" in caplog.text
 
 
 @pytest.mark.parametrize("limit", ["", '<limit effort="1" velocity="1"/>'])

@@ -247,7 +247,7 @@ def test_sections_in_any_order_and_number(tmp_path: Path, caplog: pytest.LogCapt
     np.testing.assert_array_equal(robot.model.gravity.linear, np.zeros(3))
     assert [command.name for command in robot.commands] == ["m"]
     assert "actuator 'turn' drives a ball or free joint" in caplog.text
-    assert "the range of ball joint 'ball' is ignored" in caplog.text
+    assert "the ranges of ball joints are ignored: ball" in caplog.text
 
 
 def test_masses_that_pinocchio_makes_up_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
