@@ -114,6 +114,7 @@ def test_errors_over_two_coordinates(pm3dof: Run, case: Case) -> None:
     assert list(Path("errors").glob("*.nc"))
 
 
+@pytest.mark.usefixtures("few_folds")
 def test_measured_calibrated_compensated(
     pm3dof: Run, case: Case, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
