@@ -12,10 +12,10 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
 
 UNITS = {
-    **{f"felt_stiffness_{axis}": ("N/m", "N/mm", "N/µm", "kN/µm") for axis in ("x", "y", "z")},
-    **{f"felt_stiffness_{axis}": ("N m/rad", "kN m/rad", "MN m/rad") for axis in ("rx", "ry", "rz")},
-    **{f"chapter_diagonal_{axis}": ("kN m/rad", "MN m/rad", "GN m/rad") for axis in ("theta_x", "theta_y", "theta_z")},
-    **{f"chapter_diagonal_{axis}": ("N/µm", "kN/µm") for axis in ("t_z", "t_x", "t_y")},
+    "felt_stiffness_x": ("N/m", "N/mm", "N/µm", "kN/µm"),
+    "felt_stiffness_rx": ("N m/rad", "kN m/rad", "MN m/rad"),
+    "chapter_diagonal_theta_x": ("kN m/rad", "MN m/rad", "GN m/rad"),
+    "chapter_diagonal_t_z": ("N/µm", "kN/µm"),
     **{f"slider_travel_{leg}": ("m",) for leg in (1, 2, 3)},
     "condition_number": ("",),
 }
@@ -27,7 +27,7 @@ def pictures(mechanism: Robot, tmp_path_factory: pytest.TempPathFactory) -> dict
     names = ("felt_stiffness", "chapter_diagonal", "slider_travel", "condition_number", "K")
     path: Path = tmp_path_factory.mktemp("atlas") / "atlas.nc"
     with open_atlas(compute_atlas(Atlas(mechanism, grid, names, path))) as dataset:
-        return atlas_pictures(dataset, mechanism)
+        return atlas_pictures(dataset.sel(axis=["x", "rx"], chapter_axis=["theta_x", "t_z"]), mechanism)
 
 
 def test_one_picture_for_each_number_and_none_for_matrices(pictures: dict) -> None:
@@ -42,7 +42,7 @@ def test_colour_bar_has_the_unit_of_its_number_and_stays_within_the_picture(pict
     assert unit.removesuffix("]") in UNITS[name]
     assert "[1]" not in bar.get_ylabel()
     assert words or unit
-    if name[-1] in "yz23" or name == "chapter_diagonal_t_x":  # as long as the words of its neighbour
+    if name[-1] in "23":  # as long as the words of its neighbour
         return
     figure.draw_without_rendering()
     box = bar.yaxis.label.get_window_extent()

@@ -74,6 +74,7 @@ def test_words_and_units(draw: Callable[[str], Figure], variable: str, what: str
     assert "0.4873 m" in title
 
 
+@pytest.mark.parametrize("section", ["to 45 degrees"], indirect=True)
 def test_picture_on_disk(draw: Callable[[str], Figure], tmp_path: Path) -> None:
     path = save_figure(draw("stiffness_theta_y"), tmp_path / "map.png")
     image = matplotlib.image.imread(path)

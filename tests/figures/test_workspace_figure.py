@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.printed_ranges import printed_ranges
 from pm3dof_pin.chapter.workspace import tripod_space
+from pm3dof_pin.figures import workspace as workspace_module
 from pm3dof_pin.figures.style import LIMIT_STYLES, save_figure
 from pm3dof_pin.figures.workspace import _Sheet, workspace_figure
 from pm3dof_pin.maps.limit_space import LimitSpace
@@ -101,7 +102,7 @@ def test_colours_meet_along_the_edge_of_the_body(whole: Workspace) -> None:
         assert np.mean(beyond[of_it] & bit > 0) > 0.98  # where both meet at a grazing angle it is farther
 
 
-def test_a_machine_with_holes_in_its_sections(hollow_tripod: Tripod) -> None:
+def test_a_machine_with_holes_in_its_sections(hollow_tripod: Tripod, monkeypatch: pytest.MonkeyPatch) -> None:
     """Islands and holes are part of the solid, and of the outlines."""
     whole = workspace(tripod_space(hollow_tripod), 15, 60)
     assert not all(section.star_shaped for section in whole.sections)
@@ -112,6 +113,7 @@ def test_a_machine_with_holes_in_its_sections(hollow_tripod: Tripod) -> None:
     levels = np.linspace(*whole.level_range, 24)
     volume = np.trapezoid(_areas(whole.space, levels), levels)
     assert np.sum(from_above * z.mean(axis=1)) == pytest.approx(volume, rel=0.02)
+    monkeypatch.setattr(workspace_module, "_Sheet", lambda *_: sheet)  # made once
     figure = workspace_figure(whole)
     figure.draw_without_rendering()
     areas = _areas(whole.space, [section.level for section in sheet.sections])
