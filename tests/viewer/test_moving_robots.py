@@ -102,7 +102,7 @@ def slider_values(name: str, number: int, count: int) -> np.ndarray:
 @cache
 def answered(name: str, number: int) -> tuple[np.ndarray, list[Any]]:
     robot, programs = load(name), programs_of(name)
-    values = slider_values(name, number, 24)
+    values = slider_values(name, number, 40)
     data = {
         "data": Sliders(robot, programs).machine_data(()),
         "rows": values.tolist(),
