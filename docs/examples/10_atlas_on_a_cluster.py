@@ -18,7 +18,7 @@ def main() -> None:
     robot = pm.load("pm3dof")
     grid = robot.grid(z_e=(0.42, 0.55, 7), theta_x=(-0.7, 0.7, 31), theta_y=(-0.7, 0.7, 31))
     atlas = pm.Atlas(robot, grid, ("felt_stiffness",), Path("atlas.nc"))
-    with Client(n_workers=2, threads_per_worker=1, dashboard_address=None) as client:
+    with Client(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as client:
         pm.compute_atlas(atlas, scheduler=client.scheduler.address)
     with pm.open_atlas("atlas.nc") as data:
         felt = 1e-3 * data.felt_stiffness.sel(axis="ry").isel(z_e=3)

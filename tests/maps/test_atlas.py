@@ -154,7 +154,11 @@ def test_a_dask_cluster_gives_the_same_bytes(mechanism: Robot, tmp_path: Path) -
     shape = (45, 45, 101)  # three blocks and a remainder
     alone = compute_atlas(make(mechanism, tmp_path / "alone" / "atlas.nc", shape, "felt_stiffness"))
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, dashboard_address=None, host="127.0.0.1", worker_dashboard_address=None
+        n_workers=1,
+        threads_per_worker=2,
+        dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+        worker_dashboard_address=None,
     ) as cluster:
         job = make(mechanism, tmp_path / "together" / "atlas.nc", shape, "felt_stiffness")
         together = compute_atlas(job, scheduler=cluster.scheduler_address)
