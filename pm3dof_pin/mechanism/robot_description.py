@@ -44,14 +44,14 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> dict[s
 
 
 def _free_joints_without_limits(model: pin.Model, actuated_joints: Sequence[str], path: Path) -> None:
-    """Take limits 0 .. 0 for what they mean where every actuated joint has them: that none were given."""
+    """Treat limits 0 .. 0 of all actuated joints as not given."""
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     joints = list(zip(model.names, model.joints, strict=True))[1:]
     single = {name: joint.idx_q for name, joint in joints if joint.nq == joint.nv == 1}
     blocked = {name for name, index in single.items() if lower[index] == upper[index] == 0.0}
     if blocked and blocked >= (set(actuated_joints) & single.keys() or single.keys()):
         _logger.warning(
-            "%s: limits 0 .. 0 at %d joints, all actuated ones among them, are taken as none given", path, len(blocked)
+            "%s: limits 0 .. 0 of %d joints, including all actuated ones, are treated as not given", path, len(blocked)
         )
         for name in blocked:
             lower[single[name]], upper[single[name]] = -UNLIMITED, UNLIMITED

@@ -207,7 +207,7 @@ def test_limits_of_zero_everywhere_are_none(write_robot: Writer, caplog: pytest.
     fixed = ARM.replace('lower="-1" upper="2"', 'lower="0" upper="0"')
     with caplog.at_level(logging.WARNING):
         robot = Robot.load(write_robot(fixed, NO_CLOSURES))
-    assert "limits 0 .. 0 at 1 joints" in caplog.text
+    assert "limits 0 .. 0 of 1 joints" in caplog.text
     assert (robot.lower_limits.tolist(), robot.upper_limits.tolist()) == ([-np.inf], [np.inf])
     caplog.clear()
     hand = (
