@@ -18,9 +18,10 @@ _SPEC.loader.exec_module(script)
 
 pytestmark = pytest.mark.usefixtures("few_folds")
 
-# of those that take a whole calibration to judge a few for each robot; of the others all
+# of those that take a whole calibration to judge a few for each robot, tests/calibration/test_causes.py has others;
+# of the others all
 WHOLE = {
-    "pm3dof": ("two drives", "tool point", "one drive constant"),
+    "pm3dof": ("one drive constant",),
     "hexapod": ("seven rows below", "x in millimetres"),
     "five_bar": ("centimetres", "half stale"),
 }

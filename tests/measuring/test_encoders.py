@@ -115,6 +115,7 @@ def test_the_plan_counts_them(tripod_errors: GeometricErrors, tripod_nominal: Po
         stacked_regressor(tripod_errors, nominal, Instrument(encoders=("slider1_joint",)))
 
 
+@pytest.mark.usefixtures("few_folds")
 def test_they_make_a_calibration_from_positions_better(tripod_errors: GeometricErrors, tmp_path: Path) -> None:
     """The tool point is in the universal joint: its two encoders determine the tilts, positions do not."""
     robot, rng = tripod_errors.robot, np.random.default_rng(6)
