@@ -185,28 +185,41 @@ def _chain(links: int) -> str:
     return f'<robot name="chain"><link name="l0"/>{chain}</robot>'
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        ("chain.urdf", _chain(10_000), "a chain of more than 200 links"),
-        ("deep.urdf", "<robot>" + 200_000 * "<a>", "at most 200 deep"),
-        ("deep.srdf", "<robot>" + 200_000 * "<a>", "at most 200 deep"),
-        ("deep.xml", "<mujoco><worldbody>" + 200_000 * "<body>", "at most 200 deep"),
-        ("scene.xml", f"<mujoco><worldbody>{41 * '<body><freejoint/></body>'}</worldbody></mujoco>", "at most 40"),
-    ],
+_DEPTHS = (
+    ("chain.urdf", _chain(10_000), "a chain of more than 200 links"),
+    ("deep.urdf", "<robot>" + 200_000 * "<a>", "at most 200 deep"),
+    ("deep.srdf", "<robot>" + 200_000 * "<a>", "at most 200 deep"),
+    ("deep.xml", "<mujoco><worldbody>" + 200_000 * "<body>", "at most 200 deep"),
+    ("scene.xml", f"<mujoco><worldbody>{41 * '<body><freejoint/></body>'}</worldbody></mujoco>", "at most 40"),
 )
-def test_depths_are_bounded(tmp_path: Path, name: str, text: str, said: str) -> None:
+_LOAD_ALL = """
+import sys
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.kinematics.robot import Robot
+for path in sys.argv[1:]:
+    try:
+        Robot.load(path)
+    except DescriptionError as error:
+        print(error, flush=True)
+"""
+
+
+def test_depths_are_bounded(tmp_path: Path) -> None:
     # in a separate process: anything unbounded ends it by a signal
-    path = tmp_path / name
-    path.write_text(text, encoding="utf-8")
-    if path.suffix == ".srdf":
-        path = path.with_suffix(".urdf")
-        path.write_text(_chain(2), encoding="utf-8")
-    code = f"from pm3dof_pin.kinematics.robot import Robot; Robot.load({str(path)!r})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert f"DescriptionError: {tmp_path / name}" in done.stderr
-    assert said in done.stderr
+    paths = []
+    for name, text, _ in _DEPTHS:
+        path = tmp_path / Path(name).suffix[1:] / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        if path.suffix == ".srdf":
+            path = path.with_suffix(".urdf")
+            path.write_text(_chain(2), encoding="utf-8")
+        paths.append(str(path))
+    done = subprocess.run([sys.executable, "-c", _LOAD_ALL, *paths], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for (name, _, said), line in zip(_DEPTHS, done.stdout.splitlines(), strict=True):
+        assert line.startswith(str(tmp_path / Path(name).suffix[1:] / name))
+        assert said in line
 
 
 def test_loading_leaves_the_output_of_other_threads_alone(
