@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.careful import close_all
-from pm3dof_pin.typing import Array, Matrix, Vector
+from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.continuation import Continuation
     from pm3dof_pin.kinematics.robot import Robot
 
+_ROUNDING = 1e-9
 _FURTHER_STARTS = 16  # for the inverse kinematics of a serial arm
 
 
@@ -42,6 +43,7 @@ def find_poses(
 
     By programs, or by Pinocchio if there is no continuation. Without a guess, further starts are tried.
     """
+    targets = np.where(_beyond_reach(robot, coordinates, targets)[:, None], np.nan, targets)
     if guesses is not None:
         return _walked(robot, coordinates, targets, guesses, continuation)
     found = _walked(robot, coordinates, targets, None, continuation)
@@ -57,6 +59,21 @@ def find_poses(
     turned = _turned_into_limits(robot, coordinates, found.q)
     # the same poses, except for their broken limits
     return found if turned is found.q else found._replace(q=turned, broken_limits=None)
+
+
+def _beyond_reach(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Mask:
+    """Tell which tool positions are farther from the first joint of a chain of hinges than the chain is long."""
+    columns = [index for axis in "xyz" for index, coordinate in enumerate(coordinates) if coordinate.tool == axis]
+    if robot.closures or len(columns) < len("xyz"):
+        return np.zeros(len(targets), dtype=bool)
+    model, tool = robot.model, robot.model.frames[robot.tool_frame_id]
+    chain = list(model.supports[tool.parentJoint])[1:]
+    if not chain or not all(model.joints[index].shortname().startswith("JointModelR") for index in chain):
+        return np.zeros(len(targets), dtype=bool)
+    links = [tool.placement, *(model.jointPlacements[index] for index in chain[1:])]
+    length = sum(float(np.linalg.norm(link.translation)) for link in links)
+    distances = np.linalg.norm(targets[:, columns] - model.jointPlacements[chain[0]].translation, axis=1)
+    return np.asarray(distances > length * (1.0 + _ROUNDING))
 
 
 def _walked(

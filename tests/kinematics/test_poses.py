@@ -120,3 +120,22 @@ def test_home_is_within_the_limits_of_an_arm(tmp_path: Path) -> None:
     parts = [joint.format(name, "0abc"[k], *ends) for k, (name, ends) in enumerate(limits.items())]
     (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="0"/>{"".join(parts)}</robot>')
     np.testing.assert_allclose(Robot.load(tmp_path / "arm.urdf").home.q, [0.0, -1.6, 1.0])
+
+
+def test_an_arm_reaches_as_far_as_it_is_long_and_no_farther(tmp_path: Path) -> None:
+    joint = (
+        '<link name="{0}"/><joint name="{0}" type="{1}"><parent link="{2}"/><child link="{0}"/><origin xyz="{3}"/>'
+        '<axis xyz="0 0 1"/></joint>'
+    )
+    parts = [
+        joint.format("upper", "continuous", "base", "0.1 0.2 0.3"),
+        joint.format("lower", "continuous", "upper", "0.5 0 0"),
+        joint.format("tip", "fixed", "lower", "0.25 0 0"),
+    ]
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/>{"".join(parts)}</robot>')
+    robot = Robot.load(tmp_path / "arm.urdf", tool_frame="tip")
+    reach = np.array([[0.75], [0.6], [0.75 + 1e-6], [2.0]]) * [[1.0, 0.0, 0.0]] + [0.1, 0.2, 0.3]
+    for engine in ("program", "pinocchio"):
+        np.testing.assert_array_equal(
+            robot.reach(reach, on_failure="nan", engine=engine).solved, [True, True, False, False]
+        )
