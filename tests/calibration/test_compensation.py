@@ -22,7 +22,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.simulation.worlds import World
 
-pytestmark = pytest.mark.usefixtures("small_networks")
+pytestmark = pytest.mark.usefixtures("small_networks", "few_folds")
 
 METHODS = ("lm", "gp", "nn", "lm+gp", "lm+nn")
 
