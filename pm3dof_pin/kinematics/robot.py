@@ -424,6 +424,9 @@ class Robot(Mechanism):
     @cached_property
     def _placing_drives(self) -> list[int]:
         """The drives that place the mechanism: all of them, unless there are more than degrees of freedom."""
+        first = self.prototype
+        if first is not self and (first.closures, first.actuated_joints) == (self.closures, self.actuated_joints):
+            return first._placing_drives
         if self.closures:
             try:
                 if drives := independent_drives(generic_configuration(self.home)):
