@@ -131,6 +131,31 @@ def test_a_tool_that_commands_do_not_hold_is_refused(four_bar: Path) -> None:
         sensitivities(GeometricErrors(loose, []), poses)
 
 
+@pytest.mark.parametrize("slope", [1e-2, 1e-7])
+def test_slides_along_nearly_one_direction_leave_the_tool_loose(slope: float, tmp_path: Path) -> None:
+    """A drive along x pushes three slides: along y and z, and the first along y as well, but for a slope."""
+    axes = {"drive": "1 0 0", "first": f"{slope} 1 0", "second": "0 1 0", "third": "0 0 1"}
+    parents = {"drive": "base", "first": "base", "second": "first", "third": "second"}
+    joints = "".join(
+        f'<link name="{name}"/><joint name="{name}" type="prismatic"><parent link="{parents[name]}"/>'
+        f'<child link="{name}"/><axis xyz="{axis}"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        for name, axis in axes.items()
+    )
+    tip = '<link name="{0}_tip"/><joint name="{0}_tip" type="fixed"><parent link="{0}"/><child link="{0}_tip"/></joint>'
+    tips = "".join(tip.format(name) for name in ("drive", "third"))
+    (tmp_path / "slides.urdf").write_text(f'<robot name="slides"><link name="base"/>{joints}{tips}</robot>')
+    closures = "closed_loop: [[drive_tip, third_tip]]\ntype: [3d]\nname_mot: [drive]\ntool_frame: first\n"
+    (tmp_path / "slides.closures.yaml").write_text(closures)
+    robot = Robot.load(tmp_path / "slides.urdf")
+    poses = robot.at(np.zeros((1, 4)))
+    if slope < 1e-6:
+        with pytest.raises(SingularConfigurationError, match="locked at pose 0"):
+            sensitivities(GeometricErrors(robot, []), poses)
+    else:
+        found = sensitivities(GeometricErrors(robot, []), poses).commands[0, :, 0]
+        np.testing.assert_allclose(found, [1.0, 1.0 / slope, 0.0, 0.0, 0.0, 0.0], rtol=1e-12, atol=1e-12)
+
+
 def test_frames_inside_frames_move_together() -> None:
     """Errors in the middle of a chain of fixed joints move everything beyond."""
     mechanism = Robot.load("pm3dof")
