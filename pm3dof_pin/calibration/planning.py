@@ -284,7 +284,10 @@ class PlanningProblem:
             if len(chosen) == count:
                 return np.array(chosen, dtype=np.intp)
             most = max(most, len(chosen))
-        expected = f"at most about {most} poses at least {self._min_distance:g} of the ranges from each other"
+        expected = (
+            f"at most about {most} poses at least {self._min_distance:g} of the ranges from each other; "
+            "a smaller distance allows more"
+        )
         raise InvalidValueError("count", count, expected)
 
     def _space_filling(self, count: int, generator: np.random.Generator) -> Indices:
