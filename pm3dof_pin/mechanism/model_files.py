@@ -36,7 +36,9 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
     if impossible := check_urdf(root, urdf):
         link, problem = next(iter(impossible.items()))
         others = f"; likewise {len(impossible) - 1} more links" if len(impossible) > 1 else ""
-        _logger.warning("%s: link '%s': inertial: %s%s; dynamics is not available", urdf, link, problem, others)
+        _logger.warning(
+            "%s: link '%s': inertial: %s%s; dynamics is not available if it moves", urdf, link, problem, others
+        )
     _complete_limits(root)
     try:
         with parser_messages() as complaints:
