@@ -37,7 +37,7 @@ def _differences(errors: GeometricErrors, poses: Poses, values: np.ndarray, chos
 
 def _some(errors: GeometricErrors) -> slice:
     """All parameters of small robots; of others every fifth, a different one of the six at each place."""
-    return slice(None, None, 5 if len(errors) > 60 else 1)
+    return slice(None, None, 5 if len(errors) > 100 else 1)
 
 
 def test_errors_against_finite_differences(case: Poses) -> None:

@@ -51,7 +51,7 @@ def random_values(name: str, given: str, count: int, share: float = 1.0) -> np.n
 @pytest.mark.parametrize("name", [*ROBOTS, "linear_delta", "agile_eye"])
 def test_walks_end_where_the_careful_engine_does(name, given):
     robot = load(name)
-    values = random_values(name, given, 24)
+    values = random_values(name, given, 60)
     solve = robot.solve if given == "coordinates" else robot.forward
     found = solve(values, on_failure="nan")
     expected = solve(values, on_failure="nan", engine="pinocchio")
