@@ -206,16 +206,16 @@ class _Loops:
             return rates, np.zeros((len(rates), len(inputs)))
         closures = self._closures() / robot.closure_scale[:, None]
         velocity_scale = robot.velocity_scale[free]
-        inverse, sound = _inverses(closures[:, :, free] * velocity_scale)
+        passive, pushed = closures[:, :, free] * velocity_scale, closures[:, :, inputs]
+        inverse, sound = _inverses(passive)
         if sound.all():
-            rates[:, free] = -velocity_scale[:, None] * (inverse @ closures[:, :, inputs])
+            rates[:, free] = -velocity_scale[:, None] * (inverse @ pushed)
             return rates, np.zeros((len(rates), len(inputs)))
-        left, values, right = np.linalg.svd(closures[:, :, free] * velocity_scale, full_matrices=False)
+        left, values, right = np.linalg.svd(passive, full_matrices=False)
         noise = RANK_TOLERANCE * values.max(axis=1, initial=0.0, keepdims=True)
         inverse = np.where(values > noise, 1.0 / np.where(values > noise, values, 1.0), 0.0)
         kept = np.where(values > noise, 1.0, 0.0)[:, :, None] * right
         self._require_tool_at_rest(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
-        pushed = closures[:, :, inputs]
         in_range = np.swapaxes(left, 1, 2) @ pushed
         followed = np.swapaxes(right, 1, 2) @ (inverse[:, :, None] * in_range)
         rates[:, free] = -velocity_scale[:, None] * followed

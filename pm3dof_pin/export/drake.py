@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -30,11 +30,7 @@ def drake_text(robot: RobotDocument) -> str:
     accepts ball constraints only if it is discrete and uses SAP.
     """
     root = urdf_element(robot.with_meshes_of(MESH_KINDS))
-    for joint in root.findall("joint"):
-        for limit in joint.findall("limit") if joint.get("name") in robot.mechanism.actuated_joints else ():
-            for key in ("effort", "velocity"):
-                if float(limit.get(key, "0")) == 0.0:  # not known; Drake ignores such drives
-                    limit.attrib.pop(key, None)
+    _omit_unknown_limits(root, robot.mechanism.actuated_joints)
     _fix_to_world(root, robot.urdf.root.name)
     for name in robot.mechanism.actuated_joints:
         if not any(joint.get("name") == name for joint in root.findall("transmission/joint")):
@@ -45,6 +41,15 @@ def drake_text(robot: RobotDocument) -> str:
             _ball(root, links, numbers_text(point))
     root.extend(_filter_groups(robot))
     return document_text(root, _BANNER.format(name=robot.name))
+
+
+def _omit_unknown_limits(root: Element, drives: Sequence[str]) -> None:
+    """Remove effort and velocity limits of 0, which stand for unknown ones: Drake ignores such drives."""
+    driven = (joint for joint in root.findall("joint") if joint.get("name") in drives)
+    for limit in (limit for joint in driven for limit in joint.findall("limit")):
+        for key in ("effort", "velocity"):
+            if float(limit.get(key, "0")) == 0.0:
+                limit.attrib.pop(key, None)
 
 
 def _fix_to_world(root: Element, base: str) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.careful import close_all
-from pm3dof_pin.typing import Array, Mask, Matrix, Vector
+from pm3dof_pin.typing import Array, Matrix, Vector
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.continuation import Continuation
@@ -43,7 +43,7 @@ def find_poses(
 
     By programs, or by Pinocchio if there is no continuation. Without a guess, further starts are tried.
     """
-    targets = np.where(_beyond_reach(robot, coordinates, targets)[:, None], np.nan, targets)
+    targets = _within_arms_length(robot, coordinates, targets)
     if guesses is not None:
         return _walked(robot, coordinates, targets, guesses, continuation)
     found = _walked(robot, coordinates, targets, None, continuation)
@@ -61,19 +61,14 @@ def find_poses(
     return found if turned is found.q else found._replace(q=turned, broken_limits=None)
 
 
-def _beyond_reach(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Mask:
-    """Tell which tool positions are farther from the first joint of a chain of hinges than the chain is long."""
+def _within_arms_length(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Matrix:
+    """Return the targets, NaN where their tool positions are farther from an arm's first joint than the arm is long."""
     columns = [index for axis in "xyz" for index, coordinate in enumerate(coordinates) if coordinate.tool == axis]
-    if robot.closures or len(columns) < len("xyz"):
-        return np.zeros(len(targets), dtype=bool)
-    model, tool = robot.model, robot.model.frames[robot.tool_frame_id]
-    chain = list(model.supports[tool.parentJoint])[1:]
-    if not chain or not all(model.joints[index].shortname().startswith("JointModelR") for index in chain):
-        return np.zeros(len(targets), dtype=bool)
-    links = [tool.placement, *(model.jointPlacements[index] for index in chain[1:])]
-    length = sum(float(np.linalg.norm(link.translation)) for link in links)
-    distances = np.linalg.norm(targets[:, columns] - model.jointPlacements[chain[0]].translation, axis=1)
-    return np.asarray(distances > length * (1.0 + _ROUNDING))
+    if robot.arm_reach is None or len(columns) < len("xyz"):
+        return targets
+    centre, radius = robot.arm_reach
+    distances = np.linalg.norm(targets[:, columns] - centre, axis=1)
+    return np.where((distances > radius * (1.0 + _ROUNDING))[:, None], np.nan, targets)
 
 
 def _walked(

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -415,11 +415,18 @@ class Robot(Mechanism):
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
         return UnreachablePoseError(message, result.residual, reason)
 
-    def displaced(self, model: pin.Model) -> Self:
-        """See :meth:`Mechanism.displaced`; the same drives place it."""
-        variant = super().displaced(model)
-        variant._placing_drives = self._placing_drives
-        return variant
+    @cached_property
+    def arm_reach(self) -> tuple[Vector, float] | None:
+        """Sphere that the tool of an open chain of hinges cannot leave, its centre and radius [m]; None for others."""
+        if self.closures or self.tool_frame is None:
+            return None
+        model, tool = self.model, self.model.frames[self.tool_frame_id]
+        chain = list(model.supports[tool.parentJoint])[1:]
+        if not chain or not all(model.joints[index].shortname().startswith("JointModelR") for index in chain):
+            return None
+        first, *links = (model.jointPlacements[index].translation for index in chain)
+        lengths = [float(np.linalg.norm(link)) for link in (*links, tool.placement.translation)]
+        return frozen(np.array(first)), sum(lengths)
 
     @cached_property
     def _placing_drives(self) -> list[int]:
