@@ -19,7 +19,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.wrenches import wrenches_of
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.typing import Array
 
 STIFFNESS_SIGMA = 0.3
 """Prior standard deviation of ln k: a computed stiffness is accurate to about a third."""
@@ -76,6 +76,5 @@ class ElasticTerm:
         if self.wrenches is None:
             return np.zeros((len(poses), 6, 0))
         factors = dict(zip(self.springs, np.exp(logarithms).tolist(), strict=True))
-        engine: Engine = "program" if len(poses) >= _PROGRAM_FROM else "pinocchio"
         stiff = Poses(stiffened(poses.robot, factors), poses.q)
-        return -np.swapaxes(spring_deflections(stiff, self.wrenches, engine=engine), 1, 2)
+        return -np.swapaxes(spring_deflections(stiff, self.wrenches), 1, 2)

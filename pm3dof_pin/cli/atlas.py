@@ -86,7 +86,7 @@ def atlas(
         raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {_LEAST_POINTS} each")
     if heights and not (all(map(math.isfinite, heights)) and heights[0] < heights[1]):
         raise typer.BadParameter(f"--heights {heights[0]:g} {heights[1]:g}: expected two finite, increasing heights")
-    loaded = which.load()
+    loaded = which.load(engine)
     existing = {name: entry for name, entry in known.items() if entry.exists(MappedRobot(loaded))}
     if list_quantities:
         mapped = MappedRobot(loaded)
@@ -107,7 +107,7 @@ def atlas(
         raise typer.BadParameter(f"--points, --tilt and --heights are for robots with {', '.join(_TILTS)}: use --range")
     else:
         grid = robot_grid(loaded, _all_ranges(loaded, None))
-    job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision, engine)
+    job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision)
     resumed = job.parts.exists()
     try:
         with progress_bar("poses") as progress:

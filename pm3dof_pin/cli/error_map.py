@@ -111,7 +111,7 @@ def error_map(
 
     if sum([samples is not None, bool(over or at), whole]) > 1:
         raise typer.BadParameter("expected only one of --samples, --whole, or --over with --at")
-    errors = which.load_errors()
+    errors = which.load_errors(engine)
     named = robot_grid(errors.robot, over or [], at or [])
     ranges = {name: (float(values[0]), float(values[-1]), len(values)) for name, values in named.axes.items()}
     fixed = {entry.name: named.fixed[entry.name] for entry in at or []}
@@ -121,7 +121,7 @@ def error_map(
     elif samples is None:
         grid = section_grid(errors.robot, ranges=ranges or None, fixed=fixed, points=points or 41)
     distribution: Any = "uniform" if uniform else "normal"
-    settings: dict[str, Any] = {"eta": eta, "distribution": distribution, "engine": engine}
+    settings: dict[str, Any] = {"eta": eta, "distribution": distribution}
     files: list[Path] = []
     result: dict[str, Any] = {"robot": errors.robot.name, "eta_m_per_rad": eta}
     with progress_bar("error map") as progress:

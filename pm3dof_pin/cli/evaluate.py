@@ -68,7 +68,7 @@ def evaluate(
     from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 
     known = known_quantities(quantity)
-    loaded = which.load()
+    loaded = which.load(engine, threads)
     mapped = MappedRobot(loaded)
     if model == "chapter":
         if quantity:
@@ -78,7 +78,7 @@ def evaluate(
     quantities = _OF_CHAPTER if model == "chapter" else tuple(quantity) if quantity else None
     grid = _grid(loaded, ranges, values, points)
     with progress_bar("evaluation") as progress:
-        found = evaluate_workspace(mapped, grid, quantities, springs=quantities is None, engine=engine, threads=threads)
+        found = evaluate_workspace(mapped, grid, quantities, springs=quantities is None)
         progress(1, 2)
         files = [
             write_netcdf(found.dataset, out / "evaluation.nc"),

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.errors.error_parameters import GeometricErrors
     from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.typing import Engine
 
 THE_TRIPOD = "pm3dof"
 
@@ -127,17 +128,17 @@ class RobotOptions:
     tool_frame: _ToolFrame = None
     package_path: _PackagePath = None
 
-    def load(self) -> Robot:
+    def load(self, engine: Engine = "program", threads: int | None = None) -> Robot:
         """Load the robot."""
         from pm3dof_pin.kinematics.robot import Robot
 
-        return Robot.load(self.path, **self.reading)
+        return Robot.load(self.path, **self.reading, engine=engine, threads=threads)
 
-    def load_errors(self) -> GeometricErrors:
+    def load_errors(self, engine: Engine = "program") -> GeometricErrors:
         """Load the robot with all its error parameters."""
         from pm3dof_pin.errors.error_parameters import GeometricErrors
 
-        return GeometricErrors.load(self.robot, **self.reading)
+        return GeometricErrors.load(self.robot, **self.reading, engine=engine)
 
     @property
     def path(self) -> str | Path:
@@ -163,13 +164,13 @@ class RobotErrorsOptions(RobotOptions):
 
     errors: _ErrorFile = None
 
-    def load_errors(self) -> GeometricErrors:
+    def load_errors(self, engine: Engine = "program") -> GeometricErrors:
         """Load the robot with the error parameters of `--errors`, or its own."""
         if self.errors is None:
-            return super().load_errors()
+            return super().load_errors(engine)
         from pm3dof_pin.errors.error_parameters import GeometricErrors
 
-        return GeometricErrors.of(self.load(), self.errors)
+        return GeometricErrors.of(self.load(engine), self.errors)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,7 +73,7 @@ def stiffness_map(
         return
     if height is not None or tilt is not None:
         raise typer.BadParameter("--height and --tilt are for the chapter's map: use --over and --at instead")
-    loaded = which.load()
+    loaded = which.load(engine)
     from pm3dof_pin.maps.quantities import MappedRobot
 
     if over and len(over) != 2:
@@ -92,13 +92,13 @@ def stiffness_map(
         from pm3dof_pin.maps.workspace_evaluation import stiffness_quantities
 
         quantities = (*stiffness_quantities(mapped), "first_frequency")
-        dataset = quantity_map(mapped, grid, quantities, engine=engine)
+        dataset = quantity_map(mapped, grid, quantities)
         inside = int((dataset["broken_limits"] == 0).sum())
         _require_poses(f"over {' and '.join(grid.dims)} of {loaded.name}", inside, drawn=pictures)
         files = write_map(dataset, out / "stiffness_map")
         if pictures:
-            exact = quantities_over(mapped, grid, quantities, engine=engine)
-            files += _draw(dataset, loaded, grid, exact, out, progress, formats, engine)
+            exact = quantities_over(mapped, grid, quantities)
+            files += _draw(dataset, loaded, grid, exact, out, progress, formats)
         remove_former(out, JOB_PICTURES, files)
     spans = _ranges(dataset)
     result = {
@@ -166,7 +166,6 @@ def _draw(
     out: Path,
     progress: Any,
     formats: list[PictureFormat] | None,
-    engine: Engine,
 ) -> list[Path]:
     """Draw a picture of every entry of the map that has finite values."""
     import numpy as np
@@ -174,7 +173,7 @@ def _draw(
     from pm3dof_pin.figures.section_map import section_map
     from pm3dof_pin.maps.limit_space import limits_over
 
-    broken = limits_over(robot, grid.dims, grid.fixed, engine=engine)
+    broken = limits_over(robot, grid.dims, grid.fixed)
     known: dict[bytes, Mask] = {}  # most pictures ask for the same points
 
     def within(points: Array) -> Mask:

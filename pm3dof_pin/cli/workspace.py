@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.limit_space import LimitSpace
     from pm3dof_pin.maps.workspace import Workspace
-    from pm3dof_pin.typing import Array, Engine
+    from pm3dof_pin.typing import Array
 
 _SECTIONS, _DIRECTIONS = 121, 360  # of the tripod
 _FEW_SECTIONS, _FEW_DIRECTIONS = 31, 120  # of other robots
@@ -64,7 +64,7 @@ def workspace(
     tripod = None
     with progress_bar("workspace") as progress:
         if given:
-            space = _robot_space(which.load(), coordinate, values, engine)
+            space = _robot_space(which.load(engine), coordinate, values)
         else:
             tripod = which.tripod()
             space = tripod_space(tripod)
@@ -86,15 +86,13 @@ def workspace(
     print_result(result, _lines(found, result), as_json=as_json, files=files)
 
 
-def _robot_space(
-    loaded: Robot, names: list[str] | None, values: list[CoordinateRange] | None, engine: Engine
-) -> LimitSpace:
+def _robot_space(loaded: Robot, names: list[str] | None, values: list[CoordinateRange] | None) -> LimitSpace:
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.limit_space import robot_space
 
     fixed = robot_grid(loaded, [], values or ()).fixed
     try:
-        return robot_space(loaded, tuple(names) if names else None, fixed, engine=engine)
+        return robot_space(loaded, tuple(names) if names else None, fixed)
     except InvalidValueError as error:
         raise typer.BadParameter(f"{loaded.name}: {error}") from None
 

@@ -26,7 +26,7 @@ def compliance(
     *,
     frame: str | None = None,
     on_failure: OnFailure = "raise",
-    engine: Engine = "program",
+    engine: Engine | None = None,
     threads: int | None = None,
 ) -> Array:
     """Compute the Cartesian compliance of a frame at many poses.
@@ -46,8 +46,9 @@ def compliance(
         frame: the frame; the tool by default.
         on_failure: "raise", or "nan" for unsolved poses, those with a nonpositive spring length, and those at which the
             frame is free. Their number is logged.
-        engine: "program", or "pinocchio" for Pinocchio's Jacobians and singular value decompositions at every pose.
-        threads: number of processors by default. The result does not depend on it.
+        engine: instead of the robot's, see :meth:`Robot.with_engine <pm3dof_pin.kinematics.robot.Robot.with_engine>`;
+            "pinocchio" uses Pinocchio's Jacobians and singular value decompositions at every pose.
+        threads: instead of the robot's.
 
     Returns:
         C, twist = C wrench at the frame's origin, world axes, shape=(..., 6, 6) [m/N, 1/N, rad/(N m)].

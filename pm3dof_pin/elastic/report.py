@@ -19,7 +19,7 @@ def cartesian_compliance(
     configuration: Configuration | ArrayLike,
     *,
     frame: str | None = None,
-    engine: Engine = "program",
+    engine: Engine | None = None,
 ) -> CartesianCompliance:
     """Compute the elastic behaviour of an unloaded frame.
 
@@ -38,15 +38,16 @@ def cartesian_compliance(
         configuration: an assembled configuration of the rigid mechanism, or its q, shape=(nq,) [m, rad]; or a
             configuration of the mechanism with virtual joints.
         frame: the frame; the tool by default.
-        engine: "program", or "pinocchio" to use singular values always.
+        engine: instead of the robot's; "pinocchio" uses singular values always.
 
     Raises:
         FrameNotFoundError: the model has no such frame.
         DescriptionError: no frame is given, and the mechanism has no tool frame.
         InvalidValueError: the loops are not closed, or a length changed by a joint is not positive.
     """
-    require_choice("engine", engine, Engine)
     require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
+    engine = model.rigid.engine if engine is None else engine
+    require_choice("engine", engine, Engine)
     tool = model.mechanism.tool_frame
     name = model.mechanism.frame_name(frame)
     given = configuration if isinstance(configuration, Configuration) else model.rigid.checked_positions(configuration)

@@ -23,7 +23,7 @@ _PROGRAM_FROM = 100  # poses
 _STIFFNESSES = ("stiffness", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "matrix")
 
 
-def spring_deflections(poses: Poses, wrenches: Array, *, engine: Engine | None = None) -> Array:
+def spring_deflections(poses: Poses, wrenches: Array) -> Array:
     """Return the tool deflection under wrenches due to each spring at n poses, shape=(n, springs, 6) [m, rad].
 
     The sum over the springs is the tool's displacement; the derivative of the displacement by the logarithm of a
@@ -36,8 +36,8 @@ def spring_deflections(poses: Poses, wrenches: Array, *, engine: Engine | None =
     """
     checked = finite_array("wrenches", wrenches, (len(poses), 6))
     model = elastic_model(poses.robot)
-    chosen: Engine = engine or ("program" if len(poses) >= _PROGRAM_FROM else "pinocchio")
-    parts = evaluate(model, poses, compliance_by_spring(model), engine=chosen).values
+    engine: Engine = poses.robot.engine if len(poses) >= _PROGRAM_FROM else "pinocchio"
+    parts = evaluate(model, poses, compliance_by_spring(model), engine=engine).values
     return np.asarray(np.einsum("nsij,nj->nsi", parts, checked))
 
 

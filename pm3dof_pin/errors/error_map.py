@@ -23,7 +23,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.typing import Array
 
 _ROUNDING = 1e-10  # remaining fraction of an effect that is treated as zero
 
@@ -151,7 +151,6 @@ def error_map(
     *,
     eta: float = TIP_LENGTH,
     distribution: Distribution = "normal",
-    engine: Engine = "program",
 ) -> ErrorMap:
     """Compute the tool errors caused by tolerances of the parts.
 
@@ -170,7 +169,6 @@ def error_map(
         poses: poses of the robot as described.
         eta: weight of the orientation in the tip error [m/rad].
         distribution: meaning of the tolerances: standard deviations ("normal") or half widths of uniform distributions.
-        engine: engine that computes the sensitivities.
 
     Raises:
         InvalidValueError: there are no poses or no parameters, or the loops cannot close with an error.
@@ -181,7 +179,7 @@ def error_map(
     if not len(poses) or not len(errors):
         raise InvalidValueError("error map", f"{len(poses)} poses, {len(errors)} parameters", "at least one of each")
     sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / HALF_WIDTH
-    found = sensitivities(errors, poses, engine=engine)
+    found = sensitivities(errors, poses)
     return ErrorMap(errors, poses, found, frozen(np.array(sigmas)), eta, distribution)
 
 

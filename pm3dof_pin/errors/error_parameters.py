@@ -19,7 +19,7 @@ from pm3dof_pin.description.error_file import AXES, ErrorFile, read_error_file
 from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.typing import Matrix, Motion, Vector
+from pm3dof_pin.typing import Engine, Matrix, Motion, Vector
 
 Distribution = Literal["normal", "uniform"]
 
@@ -112,7 +112,12 @@ class GeometricErrors:
 
     @classmethod
     def load(
-        cls, name_or_path: str | Path, *, tool_frame: str | None = None, package_paths: Iterable[str | Path] = ()
+        cls,
+        name_or_path: str | Path,
+        *,
+        tool_frame: str | None = None,
+        package_paths: Iterable[str | Path] = (),
+        engine: Engine = "program",
     ) -> GeometricErrors:
         """Load a robot with the error parameters of its `<stem>.errors.yaml`; without that file, with all of them.
 
@@ -123,7 +128,7 @@ class GeometricErrors:
             DescriptionError: a file is unreadable or malformed.
             FrameNotFoundError: a file names a joint or frame that the URDF does not have.
         """
-        robot = Robot.load(name_or_path, tool_frame=tool_frame, package_paths=package_paths)
+        robot = Robot.load(name_or_path, tool_frame=tool_frame, package_paths=package_paths, engine=engine)
         assert robot.files is not None
         return cls.of(robot, robot.files.errors)
 

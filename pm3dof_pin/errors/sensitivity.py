@@ -52,7 +52,7 @@ def sensitivities(
     values: ArrayLike | Mapping[str, float] | None = None,
     *,
     joints: Sequence[str] = (),
-    engine: Engine = "program",
+    engine: Engine | None = None,
 ) -> Sensitivities:
     """Compute the derivatives of the tool's pose by errors and commands, and of some joints' coordinates.
 
@@ -70,7 +70,7 @@ def sensitivities(
         poses: assembled poses of the robot as described, or of `errors.apply(values)`, shape=(n,).
         values: p of the poses, at which to differentiate; 0 by default.
         joints: single-DoF joints, whose rows follow the tool's, shape=(n, 6 + joints, ...) [m, rad].
-        engine: "program", the robot's compiled one, where not in doubt; or "pinocchio", pose by pose.
+        engine: instead of the robot's, see :meth:`Robot.with_engine <pm3dof_pin.kinematics.robot.Robot.with_engine>`.
 
     Raises:
         InvalidValueError: a pose is not solved; or the loops cannot close with an error (for overconstrained or planar
@@ -80,6 +80,7 @@ def sensitivities(
     """
     require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
     require_kind("poses", poses, Poses, "Robot.solve")
+    engine = errors.robot.engine if engine is None else engine
     require_choice("engine", engine, Engine)
     p = errors.zeros if values is None else errors.values(values)
     unsolved = np.flatnonzero(~np.isfinite(poses.q).all(axis=-1))

@@ -26,8 +26,8 @@ class BatchOptions(TypedDict, total=False):
     """Options of functions that evaluate many poses."""
 
     on_failure: OnFailure  #: "raise", or "nan" for poses that are unsolved or have no value
-    engine: Engine  #: "program", if there are enough poses for one; or "pinocchio", pose by pose
-    threads: int | None  #: number of processors by default; the result does not depend on it
+    engine: Engine | None  #: instead of the robot's, see :meth:`Robot.with_engine`
+    threads: int | None  #: instead of the robot's
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ def evaluate_at(
     careful: Callable[[Vector], ArrayLike],
     program_from: int = 0,
     on_failure: OnFailure = "raise",
-    engine: Engine = "program",
+    engine: Engine | None = None,
     threads: int | None = None,
 ) -> PoseValues:
     """Evaluate a quantity, named for the log, at many poses or configurations q, shape=(..., nq).
@@ -63,6 +63,7 @@ def evaluate_at(
         PM3DofError: see `careful`.
     """
     require_choice("on_failure", on_failure, OnFailure)
+    engine = robot.engine if engine is None else engine
     require_choice("engine", engine, Engine)
     q = poses.q if isinstance(poses, Poses | Configuration) else real_array("poses", poses)
     if q.shape[-1:] != (robot.model.nq,):
@@ -72,7 +73,7 @@ def evaluate_at(
     doubtful = np.arange(len(rows))
     if engine == "program" and len(rows) >= program_from:
         with suppress(ProgramError):
-            values, sound = program(rows, threads)
+            values, sound = program(rows, robot.threads if threads is None else threads)
             doubtful = np.flatnonzero(~sound)
     if values is None:
         values = np.empty((len(rows), math.prod(shape)))

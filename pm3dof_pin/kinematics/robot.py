@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen, real_array, require_choice, require_count
+from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
@@ -49,6 +50,10 @@ class Robot(Mechanism):
 
     Poses are purely geometric: joint limits are not enforced; :attr:`Poses.broken_limits` reports violations.
 
+    Args:
+        model, closures: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism`, as for all further arguments.
+        engine, threads: see :meth:`with_engine`; attributes of the same names.
+
     Example:
         >>> import pm3dof_pin as pm
         >>> robot = pm.load("pm3dof")
@@ -56,6 +61,22 @@ class Robot(Mechanism):
         >>> poses.commands.round(6)
         array([0.256293, 0.254515, 0.230511])
     """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        closures: Iterable[LoopClosure] = (),
+        *,
+        engine: Engine = "program",
+        threads: int | None = None,
+        **described: Any,
+    ) -> None:
+        require_choice("engine", engine, Engine)
+        if threads is not None:
+            require_count("threads", threads)
+        self.engine, self.threads = engine, threads  # before the rest, which keeps them in copies
+        super().__init__(model, closures, **described)
+        self._description |= {"engine": engine, "threads": threads}
 
     @classmethod
     def load(
@@ -65,6 +86,8 @@ class Robot(Mechanism):
         tool_frame: str | None = None,
         package_paths: Iterable[str | Path] = (),
         characteristic_length: float | None = None,
+        engine: Engine = "program",
+        threads: int | None = None,
     ) -> Robot:
         """Load a robot by name or from its description.
 
@@ -79,6 +102,8 @@ class Robot(Mechanism):
             tool_frame: tool frame, instead of the described one.
             package_paths: folders of ROS packages.
             characteristic_length: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism` [m].
+            engine: see :meth:`with_engine`.
+            threads: see there.
 
         Raises:
             UnknownRobotError: there is no such robot.
@@ -87,7 +112,16 @@ class Robot(Mechanism):
             JointNotFoundError: the closures file names a joint that the tree does not have.
         """
         described = read_description(find_robot(name_or_path, package_paths), tool_frame)
-        return cls(**described, characteristic_length=characteristic_length)
+        return cls(**described, characteristic_length=characteristic_length, engine=engine, threads=threads)
+
+    def with_engine(self, engine: Engine, *, threads: int | None = None) -> Robot:
+        """Return the same robot computed by another engine, in everything that is computed for it.
+
+        Args:
+            engine: "program", the robot's compiled program; or "pinocchio", Pinocchio pose by pose, the reference.
+            threads: threads of compiled programs; the number of processors by default. No result depends on it.
+        """
+        return self.replace(engine=engine, threads=threads)
 
     @cached_property
     def home(self) -> Configuration:
@@ -199,17 +233,17 @@ class Robot(Mechanism):
             self._require_unit(self.coordinate(name), axes.get(name, fixed.get(name, ())))
         return Grid(self.coordinates, axes, fixed)
 
-    def at(self, q: ArrayLike, *, engine: Engine = "program") -> Poses:
+    def at(self, q: ArrayLike, *, engine: Engine | None = None) -> Poses:
         """Return the poses at joint configurations with closed loops.
 
         Args:
             q: joint configurations, NaN for unsolved poses, shape=(..., nq) [m, rad].
-            engine: what places the tool and checks limits and closures of many poses; for a few it is Pinocchio.
+            engine: instead of the robot's. For a few poses it is Pinocchio.
 
         Raises:
             InvalidValueError: q is not numeric or has the wrong shape.
         """
-        require_choice("engine", engine, Engine)
+        engine = self._engine(engine)
         positions = real_array("q", q)
         if positions.ndim == 0 or positions.shape[-1] != self.model.nq:
             raise InvalidValueError("q", f"an array of shape {positions.shape}", f"shape (..., {self.model.nq})")
@@ -236,7 +270,7 @@ class Robot(Mechanism):
         *,
         guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
-        engine: Engine = "program",
+        engine: Engine | None = None,
         threads: int | None = None,
     ) -> Poses:
         """Find the poses at values of the coordinates.
@@ -248,8 +282,8 @@ class Robot(Mechanism):
             values: a grid, or values in order of the coordinates, shape=(..., number of coordinates) [m, rad].
             guess: configurations to start from, shape=(nq,) or (..., nq).
             on_failure: "raise", or "nan" for unreachable poses.
-            engine: the engine that closes the loops.
-            threads: the number of processors by default. The result does not depend on it.
+            engine: instead of the robot's, see :meth:`with_engine`.
+            threads: instead of the robot's.
 
         Raises:
             UnreachablePoseError: no closed configuration was found for a pose, and `on_failure` is "raise".
@@ -264,7 +298,7 @@ class Robot(Mechanism):
         *,
         guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
-        engine: Engine = "program",
+        engine: Engine | None = None,
     ) -> Poses:
         """Find the poses at commands, shape=(..., number of commands) [m, rad], as :meth:`solve` at coordinates.
 
@@ -280,7 +314,7 @@ class Robot(Mechanism):
         *,
         guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
-        engine: Engine = "program",
+        engine: Engine | None = None,
     ) -> Poses:
         """Find poses that bring the tool to placements, as :meth:`solve` to coordinates.
 
@@ -345,11 +379,11 @@ class Robot(Mechanism):
         values: Grid | ArrayLike,
         guess: Configuration | ArrayLike | None,
         on_failure: OnFailure,
-        engine: Engine,
+        engine: Engine | None,
         threads: int | None = None,
     ) -> Poses:
         require_choice("on_failure", on_failure, OnFailure)
-        require_choice("engine", engine, Engine)
+        engine, threads = self._engine(engine), self.threads if threads is None else threads
         if threads is not None:
             require_count("threads", threads)
         names = ", ".join(coordinate.name for coordinate in coordinates)
@@ -387,6 +421,13 @@ class Robot(Mechanism):
             raise self._unreachable(independent, rows[failed[0], placing], index)
         known: list[Any] = [values if values is None else frozen(values) for values in found]
         return Poses(self, *known).reshape(*shape)
+
+    def _engine(self, engine: Engine | None) -> Engine:
+        """Return the engine given, or else the robot's."""
+        if engine is None:
+            return self.engine
+        require_choice("engine", engine, Engine)
+        return engine
 
     def _require_unit(self, coordinate: Coordinate, values: ArrayLike) -> None:
         """Refuse values that seem to be in another unit, see :func:`~pm3dof_pin.kinematics.unit_sense.other_unit`."""

@@ -45,7 +45,6 @@ from pm3dof_pin.maps.atlas_lock import exclusive_run
 from pm3dof_pin.maps.atlas_store import AtlasStore, Variable
 from pm3dof_pin.maps.labels import BROKEN_LIMITS, dataset_attributes, flag_attributes, flag_type, limit_names
 from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, Quantity, select_quantities
-from pm3dof_pin.typing import Engine
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -81,7 +80,6 @@ class Atlas:
         path: result, `.nc` (NetCDF) or `.zarr`.
         keep_beyond_limits: whether to keep values at poses that break a limit but can be reached.
         precision: "single" or "double" on disk; computation is in double, and 6 x 6 matrices are always double.
-        engine: engine of the computation.
     """
 
     robot: Robot | ElasticModel
@@ -90,14 +88,12 @@ class Atlas:
     path: Path
     keep_beyond_limits: bool = False
     precision: Precision = "single"
-    engine: Engine = "program"
 
     def __post_init__(self) -> None:
         """Check names and path; InvalidValueError for an unknown quantity, no dimensions or another suffix."""
         require_kind("robot", self.robot, Robot, "pm.load")
         require_kind("grid", self.grid, Grid, "Robot.grid")
         require_choice("precision", self.precision, Precision)
-        require_choice("engine", self.engine, Engine)
         object.__setattr__(self, "path", Path(self.path))
         if not self.grid.axes:
             raise InvalidValueError("grid", "one pose", "at least one coordinate with a range")
@@ -168,7 +164,7 @@ class Atlas:
             "quantities": self.quantities,
             "keep_beyond_limits": self.keep_beyond_limits,
             "precision": self.precision,
-            "engine": self.engine,
+            "engine": robot.engine,
         }
         return {
             **dataset_attributes(f"Atlas of {robot.name} over ({', '.join(self.grid.dims)})", robot.name),
@@ -326,11 +322,11 @@ def open_atlas(path: Path | str) -> xr.Dataset:
 def _compute_block(atlas: Atlas, block: Block) -> Block:
     """Compute one block and write it into the store."""
     place = atlas.slices(block)
-    poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", engine=atlas.engine, threads=1)
+    poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", threads=1)
     size = math.prod(poses.shape)
     chosen_indices = np.flatnonzero(poses.solved if atlas.keep_beyond_limits else poses.within_limits)
     chosen = poses.reshape(size) if chosen_indices.size == size else poses.reshape(size)[chosen_indices]
-    evaluation = Evaluation(atlas.mapped, chosen, engine=atlas.engine, threads=1)
+    evaluation = Evaluation(atlas.mapped, chosen, threads=1)
     for quantity in atlas.selected:
         shape = quantity.shape_for(atlas.mapped)
         if chosen_indices.size == size:

@@ -11,7 +11,7 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.maps.grid_map import Variable, grid_dataset, poses_within_limits, spread
 from pm3dof_pin.maps.limit_space import coordinates_over
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,7 +32,6 @@ def error_section(
     *,
     eta: float = TIP_LENGTH,
     distribution: Distribution = "normal",
-    engine: Engine = "program",
 ) -> tuple[xr.Dataset, ErrorMap]:
     """Compute the first-order errors of the tool over a grid of the robot's coordinates.
 
@@ -45,8 +44,8 @@ def error_section(
         SingularConfigurationError: at some pose the tool can move with all drives locked.
     """
     robot = errors.robot
-    poses, within = poses_within_limits(robot, grid, engine)
-    result = error_map(errors, within, eta=eta, distribution=distribution, engine=engine)
+    poses, within = poses_within_limits(robot, grid)
+    result = error_map(errors, within, eta=eta, distribution=distribution)
     variables: dict[str, Variable] = {
         name: ((), getattr(result, name), {"units": unit, "long_name": long_name})
         for name, (unit, long_name) in QUANTITIES.items()

@@ -22,7 +22,7 @@ from pm3dof_pin.maps.labels import (
 )
 from pm3dof_pin.maps.limit_space import coordinates_over
 from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, select_quantities
-from pm3dof_pin.typing import Array, Engine, Mask
+from pm3dof_pin.typing import Array, Mask
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,9 +35,6 @@ def quantity_map(
     mapped: MappedRobot,
     grid: Grid,
     quantities: Iterable[str],
-    *,
-    engine: Engine = "program",
-    threads: int | None = None,
 ) -> xr.Dataset:
     """Compute quantities over a grid, see :func:`grid_dataset`; NaN where a pose breaks a limit or is out of reach.
 
@@ -45,8 +42,8 @@ def quantity_map(
         InvalidValueError: an unknown quantity, or one that the robot does not have.
     """
     selected = select_quantities(quantities, mapped)
-    poses = mapped.robot.solve(grid, on_failure="nan", engine=engine)
-    evaluation = Evaluation(mapped, poses[poses.within_limits], engine=engine, threads=threads)
+    poses = mapped.robot.solve(grid, on_failure="nan")
+    evaluation = Evaluation(mapped, poses[poses.within_limits])
     variables: dict[str, Variable] = {}
     labels: dict[str, list[str]] = {}
     for entry in selected:
@@ -58,9 +55,7 @@ def quantity_map(
     return dataset.assign_coords(labels).assign_attrs(model="elastic")
 
 
-def quantities_over(
-    mapped: MappedRobot, grid: Grid, quantities: Iterable[str], *, engine: Engine = "program"
-) -> Callable[[Array], dict[str, Array]]:
+def quantities_over(mapped: MappedRobot, grid: Grid, quantities: Iterable[str]) -> Callable[[Array], dict[str, Array]]:
     """Return quantities as a function of points in a grid's coordinates, shape=(n, m); NaN beyond the limits."""
     selected = select_quantities(quantities, mapped)
     complete = coordinates_over(mapped.robot, grid.dims, grid.fixed)
@@ -68,8 +63,8 @@ def quantities_over(
     @lru_cache(maxsize=1)  # the pictures of one map share their points
     def at(data: bytes) -> dict[str, Array]:
         points = np.frombuffer(data).reshape(-1, len(grid.dims))
-        poses = mapped.robot.solve(complete(points), on_failure="nan", engine=engine)
-        evaluation = Evaluation(mapped, poses[poses.within_limits], engine=engine)
+        poses = mapped.robot.solve(complete(points), on_failure="nan")
+        evaluation = Evaluation(mapped, poses[poses.within_limits])
         return {entry.name: spread(entry.compute(evaluation), poses.within_limits) for entry in selected}
 
     return lambda points: at(np.ascontiguousarray(points, dtype=float).tobytes())
@@ -82,13 +77,13 @@ def spread(values: Array, within: Mask) -> Array:
     return field
 
 
-def poses_within_limits(robot: Robot, grid: Grid, engine: Engine = "program") -> tuple[Poses, Poses]:
+def poses_within_limits(robot: Robot, grid: Grid) -> tuple[Poses, Poses]:
     """Solve a grid; return its poses, unsolved ones NaN, and those within the limits, shape=(n,).
 
     Raises:
         UnreachablePoseError: no pose of the grid is within the limits.
     """
-    poses = robot.solve(grid, on_failure="nan", engine=engine)
+    poses = robot.solve(grid, on_failure="nan")
     if not poses.within_limits.any():
         fixed = ", ".join(f"{name} = {value:g}" for name, value in grid.fixed.items())
         place = f"over {', '.join(grid.dims)}{' at ' if fixed else ''}{fixed}"

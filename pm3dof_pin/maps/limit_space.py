@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.labels import limit_names
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
@@ -84,8 +84,6 @@ def robot_space(
     robot: Robot,
     names: tuple[str, ...] | None = None,
     fixed: Mapping[str, float] | None = None,
-    *,
-    engine: Engine = "program",
 ) -> LimitSpace:
     """Return two or three coordinates of a robot with the limits over them, not counting declared ranges.
 
@@ -104,7 +102,7 @@ def robot_space(
     coordinates = [robot.coordinate(name) for name in chosen]
     places = [robot.coordinates.index(coordinate) for coordinate in coordinates]
     home = np.array(robot.home_coordinates)
-    broken = limits_over(robot, chosen, fixed, engine=engine)
+    broken = limits_over(robot, chosen, fixed)
 
     ends = []
     for coordinate, place in zip(coordinates, places, strict=True):
@@ -132,7 +130,7 @@ def robot_space(
 
 
 def limits_over(
-    robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None, *, engine: Engine = "program"
+    robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None
 ) -> Callable[[Array], Flags]:
     """Return a robot's limits over some coordinates, see :attr:`LimitSpace.broken_limits`; others at home or fixed."""
     complete = coordinates_over(robot, names, fixed)
@@ -142,7 +140,7 @@ def limits_over(
         flags = np.empty(len(rows), dtype=np.uint32)
         for first in range(0, len(rows), _BATCH):
             part = slice(first, first + _BATCH)
-            flags[part] = robot.solve(complete(rows[part]), on_failure="nan", engine=engine).broken_limits
+            flags[part] = robot.solve(complete(rows[part]), on_failure="nan").broken_limits
         return flags.reshape(values.shape[:-1])
 
     return broken

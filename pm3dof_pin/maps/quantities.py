@@ -39,7 +39,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.kinematics.singularity_measures import singularity_measures
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.typing import Array
 
 _MODES = 6
 
@@ -99,12 +99,10 @@ class MappedRobot:
 class Evaluation:
     """A robot at a batch of poses (unsolved ones give NaN); shared results are computed once."""
 
-    def __init__(
-        self, mapped: MappedRobot, poses: Poses, *, engine: Engine = "program", threads: int | None = None
-    ) -> None:
+    def __init__(self, mapped: MappedRobot, poses: Poses, *, threads: int | None = None) -> None:
         self.mapped = mapped
         self.poses = poses
-        self.batch: BatchOptions = {"on_failure": "nan", "engine": engine, "threads": threads}
+        self.batch: BatchOptions = {"on_failure": "nan", "threads": threads}
         self._elastic: dict[str, Array] = {}
 
     def elastic(self, quantity: ElasticQuantity) -> Array:

@@ -19,13 +19,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.quantities import STIFFNESS
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.maps.grid_map import quantity_map
 from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
-from pm3dof_pin.maps.quantities import Evaluation, MappedRobot
-from pm3dof_pin.typing import Array, Engine, Mask
+from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.typing import Array, Mask
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -99,8 +100,6 @@ def evaluate_workspace(
     quantities: Sequence[str] | None = None,
     *,
     springs: bool = True,
-    engine: Engine = "program",
-    threads: int | None = None,
 ) -> WorkspaceEvaluation:
     """Evaluate quantities of a robot, by default the elastic stiffness, over the reachable part of a grid.
 
@@ -114,7 +113,7 @@ def evaluate_workspace(
     names = tuple(stiffness_quantities(mapped) if quantities is None else quantities)
     matrix = ("free_stiffness" if _has_rigid_directions(mapped) else "stiffness",) if springs else ()
     every = tuple(dict.fromkeys((*names, *matrix, *((SHARES,) if springs else ()))))
-    dataset = quantity_map(mapped, grid, every, engine=engine, threads=threads)
+    dataset = quantity_map(mapped, grid, every)
     weights = _cell_volumes(grid)
     inside = dataset[BROKEN_LIMITS].values == 0
     if not inside.any():
@@ -143,8 +142,8 @@ def stiffness_quantities(mapped: MappedRobot) -> tuple[str, ...]:
 
 def _has_rigid_directions(mapped: MappedRobot) -> bool:
     """Tell whether the tool is rigid in some direction, so that only its free motions have a stiffness."""
-    usual = Evaluation(mapped, mapped.usual_poses, engine="pinocchio")
-    has_stiffness = np.isfinite(usual.elastic(STIFFNESS)).all(axis=(1, 2)).any()
+    usual = evaluate(mapped.elastic, mapped.usual_poses, STIFFNESS, on_failure="nan", engine="pinocchio")
+    has_stiffness = np.isfinite(usual.values).all(axis=(1, 2)).any()
     return not has_stiffness and mapped.free_motions is not None
 
 

@@ -71,7 +71,8 @@ def test_sections_of_any_robot(tripod_errors: GeometricErrors, tripod: Tripod, s
 def test_on_pinocchio_pose_by_pose(tripod_errors: GeometricErrors) -> None:
     few = section_grid(tripod_errors.robot, points=3, fixed={"z_e": 0.5})
     assert few is not None
-    compiled, careful = (error_section(tripod_errors, few, engine=engine)[0] for engine in ("program", "pinocchio"))
+    reference = GeometricErrors(tripod_errors.robot.with_engine("pinocchio"), tripod_errors.parameters)
+    compiled, careful = (error_section(errors, few)[0] for errors in (tripod_errors, reference))
     for name in QUANTITIES:
         np.testing.assert_allclose(compiled[name], careful[name], rtol=1e-9)
 

@@ -69,13 +69,10 @@ def test_all_of_the_tripod_at_10_000_poses(
 
 
 def test_engines_agree(mechanism: Robot, reachable_poses: np.ndarray) -> None:
-    mapped = MappedRobot(mechanism)
-    names = ("C", "felt_stiffness", "translational_stiffness", "condition_number", "commands")
-    for name in names:
-        program, pinocchio = (
-            compute(Evaluation(mapped, mechanism.solve(reachable_poses[:40], engine=engine), engine=engine), name)
-            for engine in ("program", "pinocchio")
-        )
+    robots = (mechanism, mechanism.with_engine("pinocchio"))
+    evaluations = [Evaluation(MappedRobot(robot), robot.solve(reachable_poses[:40])) for robot in robots]
+    for name in ("C", "felt_stiffness", "translational_stiffness", "condition_number", "commands"):
+        program, pinocchio = (compute(evaluation, name) for evaluation in evaluations)
         np.testing.assert_allclose(program, pinocchio, rtol=1e-7, atol=1e-12 * np.abs(pinocchio).max())
 
 
@@ -189,12 +186,12 @@ def test_a_serial_arm_is_its_springs_one_behind_the_other(engine: Engine) -> Non
     """C = J k^-1 J^T, with J of Pinocchio's own model."""
     import example_robot_data
 
-    robot = Robot(example_robot_data.load("ur5").model, tool_frame="ee_link")
+    robot = Robot(example_robot_data.load("ur5").model, tool_frame="ee_link", engine=engine)
     k = np.array([4e4, 4e4, 2e4, 1e4, 1e4, 1e4])
     springs = [JointSpring(name, name, s, "N m/rad") for name, s in zip(robot.actuated_joints, k, strict=True)]
     mapped = MappedRobot(ElasticModel(robot, springs))
     q = np.random.default_rng(2).uniform(-1.5, 1.5, (30, 6))
-    evaluation = Evaluation(mapped, robot.at(q), engine=engine)
+    evaluation = Evaluation(mapped, robot.at(q))
     frame = robot.model.getFrameId("ee_link")
     for row, found in zip(q, compute(evaluation, "C"), strict=True):
         data = robot.model.createData()
