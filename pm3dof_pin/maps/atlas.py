@@ -1,10 +1,10 @@
 """The atlas: quantities of any robot over a grid of its coordinates, in bounded memory, resumable.
 
 An atlas is computed in blocks of whole rows of its last dimensions. Every block is written to a Zarr store
-`<name>.parts` next to the result, synced to disk, and then entered with its checksums in the store's journal. A killed
-job resumes with the blocks that are not in the journal or do not match it. When all blocks are there, the store becomes
-the result. A block is computed from its own poses alone, so no byte of the result depends on the order or the process
-in which the blocks were computed. Only one run at a time works on an atlas.
+`<name>.parts` next to the result, and then a record of its checksums. A killed job resumes with the blocks that have no
+record or do not match it. When all blocks are there, the store becomes the result, with a checksum of everything in it.
+A block is computed from its own poses alone, so no byte of the result depends on the order or the process in which the
+blocks were computed. Only one run at a time works on an atlas.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
@@ -40,9 +40,7 @@ from pm3dof_pin.exceptions import (
 )
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.atlas_journal import Block, Checksums
-from pm3dof_pin.maps.atlas_lock import exclusive_run
-from pm3dof_pin.maps.atlas_store import AtlasStore, Variable
+from pm3dof_pin.maps.atlas_store import AtlasStore, Block, Variable, exclusive_run, require_intact
 from pm3dof_pin.maps.labels import BROKEN_LIMITS, dataset_attributes, flag_attributes, flag_type, limit_names
 from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, Quantity, select_quantities
 
@@ -58,8 +56,6 @@ _WORKER_PATIENCE = 10.0  # s
 _POLL = 0.01  # s
 _CLUSTER_LOGS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
 _SILENT = logging.CRITICAL + 1
-_SYNCS = 16
-_BETWEEN_ENTRIES = 0.5  # s: the most that a killed run has to compute again
 
 
 @dataclass(frozen=True)
@@ -243,52 +239,37 @@ def _compute(
         finished = atlas.store.open()
         todo = [block for block in atlas.blocks() if block not in finished]
         done = atlas.grid.size - sum(_poses_in(atlas, block) for block in todo)
-        run = _on_cluster(atlas, todo, cluster) if cluster else _on_threads(atlas, todo, threads)
-        _enter(atlas, run, done, progress)
+        for block in _on_cluster(atlas, todo, cluster) if cluster else _on_threads(atlas, todo, threads):
+            done += _poses_in(atlas, block)
+            if progress:
+                progress(done, atlas.grid.size)
         if not any((atlas.store.read(BROKEN_LIMITS, atlas.slices(block)) == 0).any() for block in atlas.blocks()):
-            atlas.store.remove()
             raise UnreachablePoseError(f"no pose of the atlas over {', '.join(atlas.grid.dims)} is within every limit")
         return atlas.store.finish(map(atlas.slices, atlas.blocks()))
-    except RuntimeError as error:
-        if "un-acquired lock" in str(error):  # Ctrl-C while acquiring a lock
-            raise KeyboardInterrupt from error
-        raise
     except OSError as error:
         reason = error.strerror or str(error)
         if error.filename and error.errno == errno.ENOENT:
             reason += f": {error.filename} (removed by another program?)"
+        atlas.store.remove(unless_resumable=True)
         if atlas.parts.exists():
             reason += f"; finished blocks are kept in {atlas.parts}; run the same command again to resume"
         raise OutputError(atlas.path, reason) from error
-
-
-def _enter(
-    atlas: Atlas,
-    run: Iterable[tuple[Block, Checksums]],
-    done: int,
-    progress: Callable[[int, int], None] | None,
-) -> None:
-    """Enter sealed blocks in the journal, a few at a time; on exit, even by an error, all of them."""
-    waiting: list[tuple[Block, Checksums]] = []
-    entered = time.monotonic()
-    try:
-        for sealed in run:
-            waiting.append(sealed)
-            if time.monotonic() - entered > _BETWEEN_ENTRIES:
-                atlas.store.enter(waiting)
-                waiting, entered = [], time.monotonic()
-            done += _poses_in(atlas, sealed[0])
-            if progress:
-                progress(done, atlas.grid.size)
-    except BaseException:
-        with suppress(OSError):
-            atlas.store.enter(waiting)
+    except OutputError:  # the place is taken, or by an unfinished atlas with other settings
         raise
-    atlas.store.enter(waiting)
+    except PM3DofError:  # the same for every run: nothing to resume
+        atlas.store.remove()
+        raise
+    except BaseException as error:
+        atlas.store.remove(unless_resumable=True)
+        if isinstance(error, RuntimeError) and "un-acquired lock" in str(error):  # Ctrl-C while acquiring a lock
+            raise KeyboardInterrupt from error
+        raise
 
 
-def open_atlas(path: Path | str) -> xr.Dataset:
+def open_atlas(path: Path | str, *, verify: bool = True) -> xr.Dataset:
     """Open an atlas lazily, with the names of axes, springs and the like as coordinates.
+
+    First the whole atlas is compared with the checksum that it carries, which reads it once.
 
     Example:
         >>> from pathlib import Path
@@ -302,12 +283,15 @@ def open_atlas(path: Path | str) -> xr.Dataset:
 
     Args:
         path: an atlas, `.nc` or `.zarr`.
+        verify: whether to compare it with its checksum.
 
     Raises:
-        DescriptionError: there is no atlas, or it cannot be read.
+        DescriptionError: there is no atlas, it cannot be read, or it is damaged.
     """
     import xarray as xr
 
+    if verify:
+        require_intact(Path(path))
     try:
         dataset = xr.open_zarr(path, consolidated=False) if Path(path).suffix == ".zarr" else xr.open_dataset(path)
     except (OSError, KeyError, ValueError) as error:
@@ -320,7 +304,7 @@ def open_atlas(path: Path | str) -> xr.Dataset:
 
 
 def _compute_block(atlas: Atlas, block: Block) -> Block:
-    """Compute one block and write it into the store."""
+    """Compute one block, write it into the store, and then its record."""
     place = atlas.slices(block)
     poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", threads=1)
     size = math.prod(poses.shape)
@@ -338,33 +322,22 @@ def _compute_block(atlas: Atlas, block: Block) -> Block:
                     values[chosen_indices] = quantity.compute(evaluation)
         atlas.store.write(quantity.name, place, values.reshape(*poses.shape, *shape))
     atlas.store.write(BROKEN_LIMITS, place, poses.broken_limits)
+    atlas.store.seal(block)
     return block
 
 
-def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Iterator[tuple[Block, Checksums]]:
-    """Run the blocks on threads (programs and writes release the interpreter lock), a few ahead at a time.
-
-    Separate threads sync them to disk, waiting for the disk and not for a processor.
-    """
+def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Iterator[Block]:
+    """Run the blocks on threads (programs and writes release the interpreter lock), a few ahead at a time."""
     count = threads or os.cpu_count() or 1
     computing: deque[Future[Block]] = deque()
-    sealing: deque[Future[tuple[Block, Checksums]]] = deque()
-    with ThreadPoolExecutor(count) as pool, ThreadPoolExecutor(_SYNCS) as syncs:
+    with ThreadPoolExecutor(count) as pool:
         try:
             for block in todo:
                 computing.append(pool.submit(_compute_block, atlas, block))
                 if len(computing) > count:
-                    sealing.append(syncs.submit(atlas.store.seal, computing.popleft().result()))
-                while sealing and (sealing[0].done() or len(sealing) > _SYNCS):
-                    yield sealing.popleft().result()
+                    yield computing.popleft().result()
             while computing:
-                sealing.append(syncs.submit(atlas.store.seal, computing.popleft().result()))
-            while sealing:
-                yield sealing.popleft().result()
-        except (Exception, KeyboardInterrupt):
-            while sealing:  # computed blocks are not lost
-                yield sealing.popleft().result()
-            raise
+                yield computing.popleft().result()
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -395,11 +368,11 @@ def _cluster(scheduler: str) -> Iterator[Client]:
             log.setLevel(level)
 
 
-def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterator[tuple[Block, Checksums]]:
+def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterator[Block]:
     from distributed import as_completed
 
     absolute = dataclasses.replace(atlas, path=atlas.path.resolve())
-    futures = [cluster.submit(_compute_and_seal, absolute, block, pure=False) for block in todo]
+    futures = [cluster.submit(_compute_block, absolute, block, pure=False) for block in todo]
     try:
         ready = as_completed(futures)  # type: ignore[no-untyped-call]
         idle = time.monotonic()
@@ -417,10 +390,6 @@ def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterato
     except Exception as error:  # raised by dask: a lost scheduler, workers that die
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise OSError(f"the dask cluster failed ({reason})") from error
-
-
-def _compute_and_seal(atlas: Atlas, block: Block) -> tuple[Block, Checksums]:
-    return atlas.store.seal(_compute_block(atlas, block))
 
 
 def _poses_in(atlas: Atlas, block: Block) -> int:

@@ -1,42 +1,50 @@
 """The arrays of an atlas on disk: a Zarr store filled block by block, and the NetCDF file made from it.
 
-Blocks are written by Zarr itself. xarray's writing of regions (`to_zarr(region=...)`) gives the same files for 20 ms of
-CPU per block instead of 18 (16^3 poses, two 6 x 6 quantities), and does not track finished blocks either.
-
-Nothing in the store is trusted: when a job resumes, its metadata are compared with the expected ones, and every
-finished block with the checksums in the journal. Chunks also carry their own checksums (CRC-32C), even in a result that
-is a Zarr store.
+Nothing in the store is trusted. Next to the arrays, every finished block has a record of the checksums of its files;
+when a job resumes, metadata and coordinates are compared with the expected ones, and blocks with their records. A
+finished atlas carries one SHA-256 of everything: of its blocks, axes and attributes.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import logging
 import math
+import os
+import re
 import shutil
+import socket
+import time
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 
-from pm3dof_pin.exceptions import OutputError
+from pm3dof_pin.exceptions import DescriptionError, OutputError
 from pm3dof_pin.files import write_atomically
-from pm3dof_pin.maps.atlas_journal import Block, Checksums, Journal, sync
 from pm3dof_pin.maps.labels import BROKEN_LIMITS
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     import zarr
 
-Place = tuple[slice, ...]
+Block: TypeAlias = tuple[int, ...]
+"""First index of a block along each dimension."""
 
-_JOURNAL = "finished.journal"
+_Place: TypeAlias = tuple[slice, ...]
+
+_RECORDS = "finished"
+_NO_CHECKSUM = "0" * 64  # in its place while the checksum is computed
+_ATTRIBUTE = re.compile(rb'"checksum": "([0-9a-f]{64})"')
+_TRAILER = b"\nsha256 "  # of a NetCDF file; its library ignores what follows the end of the data
 _log = logging.getLogger(__name__)
 
 
@@ -72,10 +80,9 @@ class AtlasStore:
         return tuple(len(values) for values, _ in self.coordinates.values())
 
     @cached_property
-    def journal(self) -> Journal:
-        """Journal of the finished blocks."""
+    def _specification(self) -> str:
         text = json.dumps(self.attributes, sort_keys=True, default=str)
-        return Journal(self.parts / _JOURNAL, hashlib.sha256(text.encode()).hexdigest())
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def open(self) -> set[Block]:
         """Make the store, or repair and continue an existing one; return the finished blocks.
@@ -84,115 +91,97 @@ class AtlasStore:
             OutputError: the place of the result is taken, there is not enough space, or another atlas is unfinished.
         """
         self._require_place()
-        if not self.parts.is_dir():
-            self.parts.unlink(missing_ok=True)
-            self._require_room()
-        elif not self._is_ours():
+        records = self._records()
+        if self.parts.is_dir() and not self._is_ours(records):
             raise OutputError(self.path, f"{self.parts} is an unfinished atlas with other settings; remove it first")
-        skeleton = self.parts.with_name(self.parts.name + ".new")
-        shutil.rmtree(skeleton, ignore_errors=True)
-        self._make(skeleton)
+        if not records:
+            self.remove()
+            self._require_room()
+        fresh = self.parts.with_name(self.parts.name + ".new")
+        shutil.rmtree(fresh, ignore_errors=True)
+        self._make(fresh)
         if not self.parts.is_dir():
-            Journal(skeleton / _JOURNAL, self.journal.specification).write({})
-            skeleton.rename(self.parts)
-            sync(self.parts.parent)
+            fresh.rename(self.parts)
             return set()
-        self._repair(skeleton)
-        return self._sound_blocks()
+        self._repair(fresh)
+        with ThreadPoolExecutor() as pool:
+            sound = [block for block, intact in zip(records, pool.map(self._is_sound, records), strict=True) if intact]
+        if len(sound) < len(records):
+            _log.warning("%s: %d finished blocks are damaged; computed again", self.parts, len(records) - len(sound))
+        return set(sound)
 
-    def _is_ours(self) -> bool:
-        """Tell whether the unfinished store belongs to this atlas, or is too damaged to tell."""
-        belongs = self.journal.belongs()
-        if belongs is not None:
-            return belongs
-        try:
-            stored = json.loads((self.parts / "zarr.json").read_bytes())["attributes"]
-        except (OSError, ValueError, KeyError, TypeError):
-            return True
-        return bool(stored == json.loads(json.dumps(self.attributes)))
+    def _records(self) -> list[Block]:
+        """Return the blocks that have a record."""
+        names = [file.name for file in (self.parts / _RECORDS).glob("*")]
+        return [tuple(map(int, name.split("."))) for name in sorted(names) if re.fullmatch(r"\d+(\.\d+)*", name)]
 
-    def _repair(self, skeleton: Path) -> None:
+    def _record(self, block: Block) -> Path:
+        return self.parts / _RECORDS / ".".join(map(str, block))
+
+    def _is_ours(self, records: list[Block]) -> bool:
+        """Tell whether the unfinished store belongs to this atlas; one without finished blocks may be replaced."""
+        stored = [self._record(block).read_bytes()[:64] for block in records]
+        return not stored or self._specification.encode() in stored
+
+    def _repair(self, fresh: Path) -> None:
         """Restore everything except the blocks to the state of a new store, and remove what does not belong there."""
-        expected = {file.relative_to(skeleton) for file in skeleton.rglob("*") if file.is_file()}
+        expected = {file.relative_to(fresh) for file in fresh.rglob("*") if file.is_file()}
         arrays = tuple(f"{variable.name}/c/" for variable in self.variables)
         for file in [*self.parts.rglob("*")]:
             name = file.relative_to(self.parts)
             chunk = str(name).startswith(arrays) and all(part.isdigit() for part in name.parts[2:])
-            if file.is_file() and name not in expected and not chunk and str(name) != _JOURNAL:
+            if file.is_file() and name not in expected and not chunk and name.parts[0] != _RECORDS:
                 file.unlink()
         repaired = []
         for name in sorted(expected):
             target = self.parts / name
-            if not target.is_file() or target.read_bytes() != (skeleton / name).read_bytes():
+            if not target.is_file() or target.read_bytes() != (fresh / name).read_bytes():
                 repaired.append(str(name))
                 if target.is_dir():
                     shutil.rmtree(target)
                 target.parent.mkdir(parents=True, exist_ok=True)
-                (skeleton / name).replace(target)
-        shutil.rmtree(skeleton)
+                (fresh / name).replace(target)
+        shutil.rmtree(fresh)
         if repaired:
             _log.warning("%s: %s damaged or missing; rewritten", self.parts, ", ".join(repaired))
 
-    def _sound_blocks(self) -> set[Block]:
-        """Return the blocks in the journal whose files are unchanged, and remove the others from the journal."""
-        listed = self.journal.read()
-        if self.journal.damaged:
-            _log.warning("%s is damaged or missing; blocks not listed in it are computed again", self.journal.path)
-        with ThreadPoolExecutor() as pool:
-            sound = list(pool.map(lambda entry: self._is_sound(*entry), listed.items()))
-        kept = {block: sums for (block, sums), intact in zip(listed.items(), sound, strict=True) if intact}
-        if len(kept) < len(listed):
-            _log.warning("%s: %d finished blocks are damaged; computed again", self.parts, len(listed) - len(kept))
-        self.journal.write(kept)
-        return set(kept)
-
-    def _is_sound(self, block: Block, checksums: Checksums) -> bool:
+    def _is_sound(self, block: Block) -> bool:
+        """Tell whether the files of a block are those of its record."""
         try:
-            return self._checksums(block) == checksums
-        except OSError:
+            return self._record(block).read_text() == self._checksums(block)
+        except (OSError, UnicodeDecodeError):
             for variable in self.variables:
                 if self._chunk(variable, block).is_dir():
                     shutil.rmtree(self._chunk(variable, block))
             return False
 
-    def _checksums(self, block: Block) -> Checksums:
+    def _checksums(self, block: Block) -> str:
+        """Return the record of a block: the specification, and CRC-32 of its file in each array; None without one."""
         files = {variable.name: self._chunk(variable, block) for variable in self.variables}
-        return {name: zlib.crc32(file.read_bytes()) if file.exists() else None for name, file in files.items()}
+        sums = {name: zlib.crc32(file.read_bytes()) if file.exists() else None for name, file in files.items()}
+        return f"{self._specification} {json.dumps(sums)}"
 
     def _chunk(self, variable: Variable, block: Block) -> Path:
         """Return the file of a block in an array."""
         numbers = [str(first // size) for first, size in zip(block, self.block_shape, strict=True)]
         return self.parts.joinpath(variable.name, "c", *numbers, *["0"] * len(variable.own_dims))
 
-    def seal(self, block: Block) -> tuple[Block, Checksums]:
-        """Sync the files of a written block to disk; return its entry for the journal."""
-        for variable in self.variables:
-            if self._chunk(variable, block).exists():  # not if everything is the fill value
-                sync(self._chunk(variable, block))
-        return block, self._checksums(block)
-
-    def enter(self, sealed: Sequence[tuple[Block, Checksums]]) -> None:
-        """Enter sealed blocks in the journal; from then on they count as finished."""
-        if not sealed:
-            return
-        chunks = (self._chunk(variable, block) for block, _ in sealed for variable in self.variables)
-        folders = {folder for chunk in chunks for folder in chunk.relative_to(self.parts).parents}
-        for folder in folders:
-            if (self.parts / folder).exists():
-                sync(self.parts / folder)
-        self.journal.append(sealed)
+    def seal(self, block: Block) -> None:
+        """Write the record of a block whose arrays have been written; from then on it counts as finished."""
+        self._record(block).parent.mkdir(exist_ok=True)
+        self._record(block).write_text(self._checksums(block))
 
     def dtype(self, name: str) -> np.dtype[Any]:
         """Return the type of an array."""
         return self._arrays[name].dtype
 
-    def write(self, name: str, place: Place, values: Any) -> None:
+    def write(self, name: str, place: _Place, values: Any) -> None:
         """Write the values of one array at one block."""
         array = self._arrays[name]
         with np.errstate(over="ignore"):  # numbers beyond single precision become infinite
             array[place] = np.asarray(values).astype(array.dtype, copy=False)
 
-    def read(self, name: str, place: Place) -> Any:
+    def read(self, name: str, place: _Place) -> Any:
         """Read the values of one array at one block; OSError if they differ from what was written."""
         try:
             return self._arrays[name][place]
@@ -209,11 +198,12 @@ class AtlasStore:
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # arrays are opened in each process
 
-    def remove(self) -> None:
-        """Remove the unfinished store."""
-        shutil.rmtree(self.parts)
+    def remove(self, *, unless_resumable: bool = False) -> None:
+        """Remove the unfinished store, on request only if no block is finished."""
+        if self.parts.is_dir() and not (unless_resumable and self._records()):
+            shutil.rmtree(self.parts)
 
-    def finish(self, blocks: Iterable[Place]) -> Path:
+    def finish(self, blocks: Iterable[_Place]) -> Path:
         """Make the result from the finished blocks and return its path; OSError for a full disk or a damaged block."""
         if self.path.suffix == ".nc":
             try:
@@ -222,11 +212,13 @@ class AtlasStore:
                 raise OSError(error.reason) from error
             self.remove()
             return self.path
+        shutil.rmtree(self.parts / _RECORDS)
+        metadata = self.parts / "zarr.json"
+        text = metadata.read_text()
+        metadata.write_text(text.replace(_NO_CHECKSUM, _checksum_of_zarr(self.parts, text.encode())))
         if self.path.exists():
             shutil.rmtree(self.path)
-        (self.parts / _JOURNAL).unlink()
         self.parts.rename(self.path)
-        sync(self.path.parent)
         return self.path
 
     def _require_place(self) -> None:
@@ -236,6 +228,8 @@ class AtlasStore:
             raise OutputError(path, "the path is a folder: expected nothing or a file")
         if path.suffix == ".zarr" and path.exists() and not (path / BROKEN_LIMITS / "zarr.json").is_file():
             raise OutputError(path, "the path is not an atlas: expected nothing or an older atlas")
+        if self.parts.is_file():
+            self.parts.unlink()
 
     def _require_room(self) -> None:
         """Reject an atlas that the disk cannot hold: the blocks and the NetCDF file made from them."""
@@ -252,7 +246,7 @@ class AtlasStore:
         import zarr
         from zarr.codecs import BloscCodec, Crc32cCodec
 
-        group = zarr.create_group(path, attributes=dict(self.attributes))
+        group = zarr.create_group(path, attributes={**self.attributes, "checksum": _NO_CHECKSUM})
         for name, (values, attributes) in self.coordinates.items():
             coordinate = group.create_array(
                 name,
@@ -278,7 +272,7 @@ class AtlasStore:
                 attributes={key: _plain(value) for key, value in variable.attributes.items()},
             )
 
-    def _copy_to_netcdf(self, blocks: Iterable[Place]) -> None:
+    def _copy_to_netcdf(self, blocks: Iterable[_Place]) -> None:
         """Copy the store block by block, in order."""
         import netCDF4
 
@@ -288,9 +282,11 @@ class AtlasStore:
                     self._fill(file, blocks)
             except RuntimeError as error:  # raised by the NetCDF library for a full disk
                 raise OSError(f"{error} while writing the NetCDF file: is the disk full?") from error
-            sync(temporary)
+            with temporary.open("r+b") as data:
+                checksum = hashlib.file_digest(data, "sha256").hexdigest()
+                data.write(_TRAILER + checksum.encode())
 
-    def _fill(self, file: Any, blocks: Iterable[Place]) -> None:
+    def _fill(self, file: Any, blocks: Iterable[_Place]) -> None:
         file.setncatts(dict(self.attributes))
         for name, (values, attributes) in self.coordinates.items():
             file.createDimension(name, len(values))
@@ -314,6 +310,101 @@ class AtlasStore:
         for place in blocks:
             for entry in self.variables:
                 file.variables[entry.name][place] = self.read(entry.name, place)
+
+
+def require_intact(path: Path) -> None:
+    """Compare a finished atlas, `.nc` or `.zarr`, with the checksum that it carries; DescriptionError if it differs."""
+    try:
+        if path.suffix == ".zarr":
+            metadata = (path / "zarr.json").read_bytes()
+            found = _ATTRIBUTE.search(metadata)
+            written = found[1] if found else b""
+            computed = _checksum_of_zarr(path, metadata.replace(written, _NO_CHECKSUM.encode())) if found else ""
+        else:
+            with path.open("rb") as file:
+                digest, rest = hashlib.sha256(), b""
+                keep = len(_TRAILER) + 64
+                while block := file.read(2**20):
+                    rest += block
+                    digest.update(rest[:-keep])
+                    rest = rest[-keep:]
+            written = rest.removeprefix(_TRAILER) if rest.startswith(_TRAILER) else b""
+            computed = digest.hexdigest()
+    except OSError as error:
+        raise DescriptionError(path, "file", f"expected an atlas ({error.strerror or error})") from error
+    if not written:
+        expected = "expected an atlas with its checksum; it is damaged, from an earlier version, or was changed"
+        raise DescriptionError(path, "file", f"{expected} (open_atlas(..., verify=False) reads it all the same)")
+    if written.decode(errors="replace") != computed:
+        raise DescriptionError(path, "file", "the atlas is damaged: its contents differ from its checksum")
+
+
+def _checksum_of_zarr(folder: Path, metadata: bytes) -> str:
+    """Return the SHA-256 of the names and contents of all files of a store, with the given metadata of the group."""
+    files = [file for file in folder.rglob("*") if file.is_file() and file.parent != folder]
+    names = {"/".join(file.relative_to(folder).parts): file for file in files}
+    kept = sorted(name for name in names if name.endswith("/zarr.json") or "/c/" in name)
+    with ThreadPoolExecutor() as pool:
+        digests = pool.map(lambda name: hashlib.sha256(names[name].read_bytes()).hexdigest(), kept)
+        listed = "\n".join(f"{name} {digest}" for name, digest in zip(kept, digests, strict=True))
+    return hashlib.sha256(metadata + listed.encode()).hexdigest()
+
+
+@contextmanager
+def exclusive_run(path: Path) -> Iterator[None]:
+    """Hold the lock of an atlas; it ends with the process, in whatever way.
+
+    The lock is the operating system's, on the file `.<name>.lock` next to the atlas, which says who holds it. A file
+    without a holder was left by a killed run, and is taken over.
+
+    Raises:
+        OutputError: another run holds the lock, or the folder cannot be written.
+    """
+    place = path.with_name(f".{path.name}.lock")
+    made = [folder for folder in place.absolute().parents if not folder.exists()]
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = _acquire(place)
+    except BlockingIOError as error:
+        raise OutputError(path, f"another run, {_holder(place)}, is computing it; wait until it has ended") from error
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+    try:
+        yield
+    finally:
+        place.unlink(missing_ok=True)
+        os.close(descriptor)
+        with suppress(OSError):  # leave no empty folder
+            for folder in made:
+                folder.rmdir()
+
+
+def _acquire(place: Path) -> int:
+    """Lock the file, write its holder into it and return its descriptor; BlockingIOError if another process has it."""
+    while True:
+        descriptor = os.open(place, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if place.exists() and os.fstat(descriptor).st_ino == place.stat().st_ino:
+                break
+        except OSError:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)  # the previous holder has just removed the file
+    if os.fstat(descriptor).st_size:
+        _log.warning("%s was left by a run that was killed, %s", place.name, _holder(place))
+    os.ftruncate(descriptor, 0)
+    holder = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.strftime("%Y-%m-%d %H:%M:%S")}
+    os.write(descriptor, json.dumps(holder).encode())
+    return descriptor
+
+
+def _holder(place: Path) -> str:
+    try:
+        holder = json.loads(place.read_bytes())
+        return f"pid {holder['pid']} on {holder['host']}, since {holder['since']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "of an unknown process"
 
 
 def _plain(value: Any) -> Any:

@@ -177,10 +177,14 @@ def test_no_scheduler_there(mechanism: Robot, tmp_path: Path, monkeypatch: pytes
 def test_an_unfinished_atlas_of_other_settings_is_not_mixed_in(
     mechanism: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(atlas: Atlas, block: tuple[int, int]) -> tuple[int, int]:
-        raise KeyboardInterrupt
+    compute, calls = atlas_module._compute_block, []
 
-    compute = atlas_module._compute_block
+    def fail(atlas: Atlas, block: tuple[int, int]) -> tuple[int, int]:
+        calls.append(block)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return compute(atlas, block)
+
     monkeypatch.setattr(atlas_module, "_compute_block", fail)
     with pytest.raises(KeyboardInterrupt):
         compute_atlas(make(mechanism, tmp_path / "atlas.nc"))
@@ -194,9 +198,9 @@ def test_full_disk(mechanism: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyP
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(atlas_module, "_compute_block", full)
-    with pytest.raises(OutputError, match=r"No space left on device; finished blocks are kept in .*\.parts"):
+    with pytest.raises(OutputError, match=r"No space left on device$"):
         compute_atlas(make(mechanism, tmp_path / "atlas.nc"))
-    assert not (tmp_path / "atlas.nc").exists()
+    assert not [*tmp_path.iterdir()]
 
 
 def test_an_older_atlas_gives_way_and_nothing_else_does(mechanism: Robot, tmp_path: Path) -> None:
