@@ -9,7 +9,7 @@ from pm3dof_pin.cli.output import fixed, table_lines
 from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
 
 if TYPE_CHECKING:
-    from pm3dof_pin.dynamics.force_balance import ActuatorForces
+    from pm3dof_pin.dynamics.statics import ActuatorForces
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.typing import Array

@@ -18,9 +18,9 @@ from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.tripod import Tripod
-    from pm3dof_pin.elastic.condensation import CartesianCompliance
     from pm3dof_pin.elastic.elastic_model import ElasticModel
     from pm3dof_pin.elastic.free_motions import FreeMotionStiffness
+    from pm3dof_pin.elastic.report import CartesianCompliance
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.mechanism.configuration import Configuration
     from pm3dof_pin.typing import Array, Matrix, Vector
@@ -87,8 +87,8 @@ def _free_motions(
     elastic: ElasticModel, tool: CartesianCompliance, configuration: Configuration
 ) -> FreeMotionStiffness | None:
     """Return the stiffness of the free motions; None, with a message, if it does not exist either."""
-    from pm3dof_pin.elastic.directions import direction_names
     from pm3dof_pin.elastic.free_motions import free_motion_stiffness
+    from pm3dof_pin.elastic.report import direction_names
     from pm3dof_pin.exceptions import SingularConfigurationError
 
     message(f"pm3dof: the tool is rigid, so there is no 6 x 6 K. Rigid: {direction_names(tool.rigid_directions)}")

@@ -11,8 +11,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen, listed
-from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
+from pm3dof_pin.dynamics.statics import ActuatorForces, balance
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of

@@ -13,9 +13,8 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.elastic.compiled import elastic_structure
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.traced import elastic_tree, spring_parameters, spring_root
+from pm3dof_pin.elastic.traced import Roots, elastic_program
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near_home
@@ -75,12 +74,12 @@ def _inertia(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
     return _symmetric(motions, product(Masses(tree, model).matrix, motions))
 
 
-def _vibrations(tree: Tree, model: pin.Model, elastic: ElasticModel, doubt: Doubt) -> Objects:
+def _vibrations(roots: Roots, model: pin.Model) -> Objects:
     """Record Z'^T M Z' of :mod:`pm3dof_pin.dynamics.modes`, its lower triangle row by row [s^2]."""
+    elastic, tree, root, doubt = roots.model, roots.tree, roots.springs, Doubt()
     unit = elastic.mechanism.length_unit
     driven, passive = elastic.spring_indices.tolist(), elastic.passive_indices.tolist()
     motions = closed_motions(tree, driven, passive, unit, doubt)
-    root = spring_root(tree.graph, elastic, tree)
     strained = projected(product(motions.relations, root), product(motions.rates, root), doubt)
     moved = np.hstack([motions.idle, strained])
     moved[tree.slides] = moved[tree.slides] * unit
@@ -96,7 +95,7 @@ def _vibrations(tree: Tree, model: pin.Model, elastic: ElasticModel, doubt: Doub
             for j in range(i, len(inertia)):
                 inertia[i, j] = inertia[j, i] = inertia[i, j] - row[i] * (row[j] * inverse)
     first = motions.idle.shape[1]
-    return inertia[first:, first:][np.tril_indices(len(inertia) - first)]
+    return roots.noted(inertia[first:, first:][np.tril_indices(len(inertia) - first)], doubt)
 
 
 def _symmetric(a: Objects, b: Objects) -> Objects:
@@ -126,17 +125,15 @@ def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int 
 
     Returns lower triangles for `eigvalsh`, shape=(n, e, e) [s^2]; and where nothing is in doubt, shape=(n,).
     """
-    frame = elastic.mechanism.frame_name()
-
-    def trace() -> Program:
-        doubt, tree = Doubt(), elastic_tree(Graph(), elastic, frame)
-        return _finished("vibrations", tree, _vibrations(tree, model, elastic, doubt), doubt)
-
-    key = repr(("vibrations", masses.mass_pattern(model), *elastic_structure(elastic, frame)))
-    compiled = cache.known(key, trace)
-    numbers = masses.mass_numbers(model) | spring_parameters(elastic)
-    parameters = geometry.values(elastic.mechanism, compiled.program.parameters, numbers)
-    entries, sound = compiled.with_doubt(q, parameters, threads)
+    program = elastic_program(
+        elastic,
+        elastic.mechanism.frame_name(),
+        "vibrations",
+        lambda roots: _vibrations(roots, model),
+        structure=tuple(masses.mass_pattern(model)),
+        numbers=masses.mass_numbers(model),
+    )
+    entries, sound = program.with_doubt(q, threads)
     size = math.isqrt(2 * entries.shape[1])
     matrices = np.zeros((len(q), size, size))
     matrices[:, *np.tril_indices(size)] = entries
@@ -162,17 +159,12 @@ def of_drives(
         poses = samples_near_home(robot)
         verify(robot, poses)
         doubt, tree = Doubt(), Tree(Graph(), robot, poses)
-        record = {"holding_forces": _holding, "mass_matrix": _inertia}[name]
-        return _finished(name, tree, record(tree, model, doubt), doubt)
+        values = {"holding_forces": _holding, "mass_matrix": _inertia}[name](tree, model, doubt)
+        sound = doubt.is_none(values) & closed(tree)
+        return tree.graph.program(name, {"values": values, "sound": select(sound, 1.0, 0.0)})
 
     own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.mass_pattern(model))
     key = repr((name, *own, geometry.structure(robot), geometry.pattern(robot)))
     compiled = cache.known(key, trace)
     parameters = geometry.values(robot, compiled.program.parameters, masses.mass_numbers(model))
     return compiled.with_doubt(q, parameters, threads)
-
-
-def _finished(name: str, tree: Tree, values: Objects, doubt: Doubt) -> Program:
-    """Return the program of values and of `sound`, 1 if the loops are closed and nothing is in doubt."""
-    sound = doubt.is_none(values) & closed(tree)
-    return tree.graph.program(name, {"values": values, "sound": select(sound, 1.0, 0.0)})

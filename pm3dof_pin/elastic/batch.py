@@ -7,17 +7,15 @@ from typing import Unpack
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import require_kind
-from pm3dof_pin.elastic.compiled import elastic_program
-from pm3dof_pin.elastic.condensation import condensed
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE, STIFFNESS, ElasticQuantity
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.elastic.traced import elastic_program
 from pm3dof_pin.kinematics.pose_values import BatchOptions, PoseValues, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Array, Engine, OnFailure
-
-_KEPT = "_elastic_model"
+from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure
 
 
 def compliance(
@@ -98,14 +96,18 @@ def evaluate(
     """Compute an elastic quantity of a frame; other arguments and errors as in :func:`compliance`."""
     elastic = model if isinstance(model, ElasticModel) else elastic_model(model)
     name = elastic.mechanism.frame_name(frame)
-    closed = isinstance(poses, Poses)
+
+    def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
+        closed = isinstance(poses, Poses)
+        return elastic_program(elastic, name, quantity.name, quantity.traced, closed=closed).with_doubt(q, threads)
+
     return evaluate_at(
         elastic.rigid,
         poses,
         quantity.name,
         quantity.shape,
-        program=lambda q, threads: elastic_program(elastic, name, quantity, closed=closed).with_doubt(q, threads),
-        careful=lambda q: quantity.computed(condensed(elastic, q, frame=name)),
+        program=program,
+        careful=lambda q: quantity.computed(cartesian_compliance(elastic, q, frame=name)),
         **options,
     )
 
@@ -117,7 +119,7 @@ def elastic_model(robot: Robot) -> ElasticModel:
         DescriptionError: the robot has no springs; or as for :class:`ElasticModel`.
     """
     require_kind("robot", robot, Robot, "pm.load")
-    kept: ElasticModel | None = vars(robot).get(_KEPT)
-    if kept is None:
-        vars(robot)[_KEPT] = kept = ElasticModel(robot)
-    return kept
+    if "_elastic_model" not in vars(robot):
+        vars(robot)["_elastic_model"] = ElasticModel(robot)
+    model: ElasticModel = vars(robot)["_elastic_model"]
+    return model

@@ -87,7 +87,7 @@ class ElasticModel:
         passive_indices: all other entries of v.
         rigid_indices: index in q of `mechanism` of each entry of q of `rigid`.
         rigid_velocity_indices: index in v of `mechanism` of each entry of v of `rigid`.
-        programs: compiled programs used so far, see :mod:`pm3dof_pin.elastic.compiled`.
+        programs: compiled programs used so far, see :func:`pm3dof_pin.elastic.traced.elastic_program`.
 
     Raises:
         FrameNotFoundError: a spring refers to an unknown joint or frame.
@@ -114,7 +114,7 @@ class ElasticModel:
         self.locked_indices: Indices = frozen(np.setdiff1d(self.mechanism.actuated_indices, self.spring_indices))
         springs_and_locked = np.concatenate([self.spring_indices, self.locked_indices])
         self.passive_indices: Indices = frozen(np.setdiff1d(np.arange(self.mechanism.model.nv), springs_and_locked))
-        self.programs: dict[tuple[str, str, bool], BoundProgram | ProgramError] = {}
+        self.programs: dict[tuple[object, ...], BoundProgram | ProgramError] = {}
 
     @classmethod
     def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> ElasticModel:

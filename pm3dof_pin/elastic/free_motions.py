@@ -9,8 +9,8 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent, Unit, unit_of
-from pm3dof_pin.elastic.condensation import condensed
 from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.actuation import motion_components, tool_motions
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
@@ -60,7 +60,7 @@ def free_motion_stiffness(
     """
     require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
     require_kind("configuration", configuration, Configuration, "Poses.configuration")
-    tool = condensed(model, configuration)
+    tool = cartesian_compliance(model, configuration)
     coordinates = configuration.mechanism.declared_coordinates
     dof = DegreesOfFreedom(configuration)
     if len(coordinates) == dof.at_tool.rank.rank and not components:

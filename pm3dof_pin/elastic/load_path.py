@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.loaded_state import LoadedState, find_equilibrium
+from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
 from pm3dof_pin.exceptions import ConvergenceError, DeflectionRangeError
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -130,8 +130,7 @@ class LoadPath:
         Raises:
             ConvergenceError: there is none nearby.
         """
-        start = LoadedState(self._model, self.rest, self._applied(factor), guess)
-        return find_equilibrium(start)
+        return LoadedState(self._model, self.rest, self._applied(factor), guess).settled()
 
     def begin(self, state: LoadedState, typical_factor: float) -> _PathPoint:
         """Return the start of the path, at factor 0, in the direction of growing load, scaled by a typical factor."""
@@ -199,17 +198,6 @@ class LoadPath:
         path = LoadPath(self._model, self.rest, self._permanent, None)
         state, _ = path.settle()
         return LoadedState(self._model, self.rest, self._applied(0.0), state.configuration, state.deflections)
-
-    def straight(self, point: _PathPoint, length: float) -> _PathPoint:
-        """Continue along the path by a length, straight on at bifurcations, and past limit points.
-
-        Raises:
-            PM3DofError: as :meth:`advance`.
-        """
-        step = self.advance(point, length)
-        if step.bifurcation:
-            _log.warning("bifurcation at a factor of %.6g, branch followed: straight on", step.start.factor)
-        return step.end
 
     def advance(self, point: _PathPoint, length: float) -> PathStep:
         """Continue along the path by a length, or less where the path bends or branches.

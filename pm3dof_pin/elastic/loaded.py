@@ -34,12 +34,12 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
-from pm3dof_pin.elastic.directions import direction_names, range_and_complement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.load_path import LoadPath
 from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import Loads
-from pm3dof_pin.exceptions import DeflectionRangeError, FreeDirectionError, InvalidValueError, RigidDirectionError
+from pm3dof_pin.elastic.report import direction_names, range_and_complement
+from pm3dof_pin.exceptions import DeflectionRangeError, FreeDirectionError, RigidDirectionError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -222,7 +222,7 @@ def load_deflection(
     """Follow the equilibrium under growing loads: the load-deflection curve at given load factors, shape=(n,).
 
     The path between factors is followed by arc length, so that it cannot jump to another nearby equilibrium. It ends at
-    a limit point: see :func:`equilibrium_path` for the rest. At a bifurcation it continues along a stable branch, and a
+    a limit point. At a bifurcation it continues along a stable branch, and a
     warning with the factor and the branch is logged. Other arguments and errors as in :func:`loaded_equilibrium`;
     `permanent` loads always act in full.
 
@@ -240,31 +240,3 @@ def load_deflection(
         point = path.follow(point, float(target))
         curve.append(LoadedEquilibrium(point.factor, point.steps, point.state))
     return tuple(curve)
-
-
-def equilibrium_path(
-    model: ElasticModel,
-    configuration: Configuration | ArrayLike,
-    loads: Loads,
-    increment: float,
-    count: int,
-    *,
-    permanent: Loads | None = None,
-) -> tuple[LoadedEquilibrium, ...]:
-    """Follow the equilibrium by arc length, through limit points: the load-deflection curve with its falling branches.
-
-    At a bifurcation it continues straight on, and a warning with the factor is logged. `increment` is the factor that
-    the first step would reach if the mechanism were linear and only the load were measured; all `count` steps have the
-    same length, or less where the path bends. Other arguments and errors as in :func:`load_deflection`.
-
-    Raises:
-        ConvergenceError: the path could not be followed; the message says from where.
-        InvalidValueError: the increment is not a positive number.
-    """
-    if not (np.isfinite(increment) and increment > 0.0):
-        raise InvalidValueError("increment", increment, "a positive number")
-    path = LoadPath(model, configuration, loads, permanent)
-    points = [path.begin(path.unloaded(), increment)]
-    for _ in range(count):
-        points.append(path.straight(points[-1], 1.0))
-    return tuple(LoadedEquilibrium(point.factor, point.steps, point.state) for point in points)

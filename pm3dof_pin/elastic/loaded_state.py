@@ -15,15 +15,9 @@ from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Indices, Matrix, Vector
 
-CLOSED = 1e-11
-"""Closure residual of an equilibrium [characteristic lengths, or rad]."""
-
-EQUILIBRIUM_TOLERANCE = 1e-10
-"""Equilibrium tolerance, relative to the loads."""
-
-LARGEST_BEND = 1.0
-"""Largest rotation, in one spring that represents a body, for small-deflection stiffness [rad]."""
-
+_CLOSED = 1e-11  # closure residual of an equilibrium [characteristic lengths, or rad]
+_EQUILIBRIUM = 1e-10  # imbalance, relative to the loads
+_LARGEST_BEND = 1.0  # rotation of one spring that represents a body, for small-deflection stiffness [rad]
 _IDLE = 1e-9  # stiffness of a motion with the springs at rest, relative to the loads or the greatest stiffness
 _SYMMETRY = 1e-6
 _MOST_STEPS = 60  # Newton steps
@@ -93,7 +87,7 @@ class LoadedState:
     @property
     def balanced(self) -> bool:
         """Whether the imbalance is within tolerance, relative to the loads or to rounding."""
-        return self.imbalance <= EQUILIBRIUM_TOLERANCE * self.load_size + self.rounding
+        return self.imbalance <= _EQUILIBRIUM * self.load_size + self.rounding
 
     @cached_property
     def hessian(self) -> Matrix:
@@ -188,7 +182,7 @@ class LoadedState:
             mechanism, pin.integrate(mechanism.model, np.array(self.configuration.q), velocity)
         )
         near = self.deflections + velocity
-        motions, tolerance = self.motions, CLOSED * mechanism.characteristic_length
+        motions, tolerance = self.motions, _CLOSED * mechanism.characteristic_length
         try:
             for _ in range(_CLOSING_ROUNDS):
                 configuration = _closed(configuration, motions.closing)
@@ -198,6 +192,32 @@ class LoadedState:
         except InvalidValueError:  # loops far from closed, or a spring of nonpositive length
             return None
         return None
+
+    def settled(self) -> tuple[LoadedState, int]:
+        """Find the equilibrium from here by Newton's method with a line search on the imbalance; also return the steps.
+
+        One more step is tried after reaching the tolerance.
+
+        Raises:
+            ConvergenceError: no equilibrium was found.
+        """
+        state = self.moved(np.zeros_like(self.deflections)) or self
+        for step in range(_MOST_STEPS):
+            balanced = state.balanced
+            better = _line_search(state)
+            if balanced:
+                return better or state, step + 1
+            if better is None:
+                break
+            state = better
+        residual = float(np.abs(state.unbalanced).max(initial=0.0))
+        raise ConvergenceError(
+            "the equilibrium under load",
+            residual,
+            "N or N m",
+            _MOST_STEPS,
+            "the loads may exceed what the mechanism can bear, or need to be applied in steps",
+        )
 
     @cached_property
     def _combinations(self) -> tuple[Matrix, Matrix]:
@@ -217,7 +237,7 @@ class LoadedState:
 def _deflection_out_of_range(model: ElasticModel, configuration: Configuration, deflections: Vector) -> str:
     """Describe which spring is deflected further than a body of its size can be; "" if none is.
 
-    Springs at revolute joints may turn freely, other rotations reach at most :data:`LARGEST_BEND`. Translations reach
+    Springs at revolute joints may turn freely, other rotations reach at most 1 rad. Translations reach
     at most the length of the spring, or else the characteristic length of the mechanism.
     """
     scale = model.mechanism.characteristic_length
@@ -233,8 +253,8 @@ def _deflection_out_of_range(model: ElasticModel, configuration: Configuration, 
         give, bend = by[:slides].max(initial=0.0), by[slides:].max(initial=0.0)
         if give > length:
             return f"spring '{spring.name}' deflects by {give:.3g} m, more than {length:.3g} m"
-        if bend > LARGEST_BEND:
-            return f"spring '{spring.name}' deflects by {bend:.3g} rad, more than {LARGEST_BEND:g} rad"
+        if bend > _LARGEST_BEND:
+            return f"spring '{spring.name}' deflects by {bend:.3g} rad, more than {_LARGEST_BEND:g} rad"
     return ""
 
 
@@ -257,33 +277,6 @@ def _closed(configuration: Configuration, closing: Matrix) -> Configuration:
             break
         configuration = closer
     return configuration
-
-
-def find_equilibrium(state: LoadedState) -> tuple[LoadedState, int]:
-    """Find the equilibrium from a state by Newton's method with a line search on the imbalance; also return the steps.
-
-    One more step is tried after reaching :data:`EQUILIBRIUM_TOLERANCE`.
-
-    Raises:
-        ConvergenceError: no equilibrium was found.
-    """
-    state = state.moved(np.zeros_like(state.deflections)) or state
-    for step in range(_MOST_STEPS):
-        balanced = state.balanced
-        better = _line_search(state)
-        if balanced:
-            return better or state, step + 1
-        if better is None:
-            break
-        state = better
-    residual = float(np.abs(state.unbalanced).max(initial=0.0))
-    raise ConvergenceError(
-        "the equilibrium under load",
-        residual,
-        "N or N m",
-        _MOST_STEPS,
-        "the loads may exceed what the mechanism can bear, or need to be applied in steps",
-    )
 
 
 def _line_search(state: LoadedState) -> LoadedState | None:

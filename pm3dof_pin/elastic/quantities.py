@@ -14,10 +14,10 @@ import numpy as np
 
 from pm3dof_pin.description.coordinates import ToolComponent
 from pm3dof_pin.elastic import indices
-from pm3dof_pin.elastic.condensation import CartesianCompliance
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
+from pm3dof_pin.elastic.report import CartesianCompliance
 from pm3dof_pin.elastic.traced import Roots
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.programs.elimination import total, zeros
@@ -46,13 +46,11 @@ def _matrix(columns: Objects) -> Objects:
     return result
 
 
-def _both(roots: Roots) -> Objects:
-    stiffness = zeros(6, 6)
+def _stiffness(roots: Roots) -> Objects:
     try:
-        stiffness = _matrix(roots.stiffness)
+        return _matrix(roots.stiffness)
     except RigidDirectionError:
-        stiffness[:] = math.nan
-    return np.stack([_matrix(roots.compliance), stiffness])
+        return np.full((6, 6), math.nan, dtype=object)
 
 
 def _axis_compliance(roots: Roots) -> Objects:
@@ -71,7 +69,10 @@ def _principal(roots: Roots) -> Objects:
 
 def _conditioning(roots: Roots) -> Objects:
     """Return the eigenvalues of K at its characteristic length, ascending, and this length."""
-    columns = roots.stiffness
+    try:
+        columns = roots.stiffness
+    except RigidDirectionError:
+        return np.full(7, math.nan, dtype=object)
     translation, rotation = (
         total([entry * entry for entry in columns[rows].ravel()]) for rows in (slice(0, 3), slice(3, 6))
     )
@@ -107,20 +108,13 @@ def _computed_conditioning(report: CartesianCompliance) -> Array:
     return np.append(indices.eigenvalues(report.stiffness, length), length)
 
 
-def _computed_both(report: CartesianCompliance) -> Array:
-    return np.stack([report.compliance, _computed_stiffness(report)])
-
-
 COMPLIANCE = ElasticQuantity(
     "compliance", (6, 6), lambda roots: _matrix(roots.compliance), lambda report: report.compliance
 )
 """C, twist = C wrench [m/N, 1/N, rad/(N m)]."""
 
-STIFFNESS = ElasticQuantity("stiffness", (6, 6), lambda roots: _matrix(roots.stiffness), _computed_stiffness)
+STIFFNESS = ElasticQuantity("stiffness", (6, 6), _stiffness, _computed_stiffness)
 """K, wrench = K twist [N/m, N, N m/rad]; NaN if a direction is rigid."""
-
-COMPLIANCE_AND_STIFFNESS = ElasticQuantity("compliance_and_stiffness", (2, 6, 6), _both, _computed_both)
-"""C and K; K is NaN if a direction is rigid."""
 
 AXIS_COMPLIANCE = ElasticQuantity(
     "axis_compliance", (6,), _axis_compliance, lambda report: report.compliance.diagonal()

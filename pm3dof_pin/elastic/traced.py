@@ -11,11 +11,14 @@ transformations; rigid directions and serial arms need no special treatment. If 
 equations, they are first reduced to as many.
 
 Ranks are decided on the equations without the springs, independently of their stiffness.
+
+A program is recorded and compiled once for a structure of mechanism and springs; their numbers are its parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,7 +27,9 @@ import numpy as np
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent, tool_coordinates
 from pm3dof_pin.elastic.elastic_model import ElasticModel, SpringBlock
 from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
+from pm3dof_pin.kinematics.closing_programs import BoundProgram
 from pm3dof_pin.kinematics.samples import samples_near_home
+from pm3dof_pin.programs import cache, geometry, loops
 from pm3dof_pin.programs.elimination import (
     Doubt,
     Elimination,
@@ -35,7 +40,8 @@ from pm3dof_pin.programs.elimination import (
     total,
     zeros,
 )
-from pm3dof_pin.programs.graph import Graph, Scalar, Truth, absolute, is_zero, sqrt
+from pm3dof_pin.programs.graph import Graph, Scalar, Truth, absolute, is_zero, select, sqrt
+from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.projection import compressed, projected, rank, triangular
 from pm3dof_pin.programs.tool_motion import Branch, Reading, branches, joint_columns, response, widened
 from pm3dof_pin.programs.tree import Tree
@@ -43,6 +49,89 @@ from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Objects
 
 _LIKE = 1e4  # ratio of roots of compliances, by which the pivots of doubt lose accuracy
+
+_logger = logging.getLogger(__name__)
+
+
+def elastic_program(
+    model: ElasticModel,
+    frame: str,
+    name: str,
+    record: Callable[[Roots], Objects],
+    *,
+    closed: bool = False,
+    structure: tuple[object, ...] = (),
+    numbers: Mapping[str, float] | None = None,
+) -> BoundProgram:
+    """Return the program of a quantity of a frame, compiled on first use for a structure.
+
+    Its input is q of the rigid mechanism; its outputs are the quantity, and 1 if nothing is in doubt, else 0. Unless
+    the loops are known to be `closed`, the program checks them.
+
+    Args:
+        model: the elastic mechanism.
+        frame: the frame.
+        name: name of the quantity.
+        record: records the quantity from the roots of the frame's compliance and stiffness.
+        closed: whether the loops are known to be closed.
+        structure: what the program depends on besides the model.
+        numbers: values of the parameters that `record` adds.
+
+    Raises:
+        ProgramError: there is no program for this mechanism, or it disagrees with Pinocchio.
+    """
+    added = dict(numbers or {})
+    place = (frame, name, closed, structure, *added.items())
+    if place not in model.programs:
+        key = repr((name, closed, structure, *_structure(model, frame)))
+        try:
+            compiled = cache.known(key, lambda: traced_program(model, frame, name, record, closed=closed))
+            values = geometry.values(model.mechanism, compiled.program.parameters, _spring_parameters(model) | added)
+            model.programs[place] = BoundProgram(compiled, values)
+        except ProgramError as error:
+            _logger.warning("%s: %s is computed by Pinocchio, pose by pose: %s", model.mechanism.name, name, error)
+            model.programs[place] = error
+    found = model.programs[place]
+    if isinstance(found, ProgramError):
+        raise found
+    return found
+
+
+def traced_program(
+    model: ElasticModel, frame: str, name: str, record: Callable[[Roots], Objects], *, closed: bool = False
+) -> Program:
+    """Record a quantity; arguments as in :func:`elastic_program`.
+
+    Raises:
+        ProgramError: the mechanism has an unsupported joint, the frame is free at all sample poses, or the traced
+            Jacobians differ from Pinocchio's.
+    """
+    samples = model.embed(samples_near_home(model.rigid))
+    verify(model.mechanism, samples)
+    graph = Graph()
+    q = zeros(1, model.mechanism.model.nq)[0]
+    q[model.rigid_indices] = [
+        graph.input(f"q[{k}]", column) for k, column in enumerate(samples[:, model.rigid_indices].T)
+    ]
+    tree = Tree(graph, model.mechanism, samples, (frame,), positions=q)
+    roots = Roots(model, tree, frame)
+    values = record(roots)
+    sound = roots.is_sound if closed else roots.is_sound & loops.closed(tree)
+    return graph.program(name, {name: values, "sound": select(sound, 1.0, 0.0)})
+
+
+def _structure(model: ElasticModel, frame: str) -> tuple[object, ...]:
+    """Return what programs depend on besides the quantity."""
+    mechanism = model.mechanism
+    entry = mechanism.model.frames[mechanism.frame_id(frame)]
+    lengths = [block.length.joint if block.length else "" for block in model.blocks]
+    coordinates = [(c.joint, c.tool, c.unit, c.scale) for c in model.rigid.declared_coordinates]
+    return (
+        *(coordinates, frame, entry.parentJoint, mechanism.length_unit),
+        *(model.spring_indices.tolist(), model.passive_indices.tolist(), model.rigid_indices.tolist(), lengths),
+        *(list(_spring_parameters(model)), model.compliance_root[1].tolist(), _has_like_springs(model)),
+        *(geometry.structure(mechanism), geometry.pattern(mechanism, (frame,))),
+    )
 
 
 def _component_rows(rotation: Objects) -> Objects:
@@ -58,30 +147,20 @@ def _component_rows(rotation: Objects) -> Objects:
     return rows
 
 
-def elastic_tree(graph: Graph, model: ElasticModel, frame: str) -> Tree:
-    """Record the tree of an elastic mechanism at q of the rigid one, with virtual joints at zero.
-
-    Raises:
-        ProgramError: there are no samples, or traced Jacobians differ from Pinocchio's.
-    """
-    samples = samples_near_home(model.rigid)
-    verify(model.mechanism, model.embed(samples))
-    q = zeros(1, model.mechanism.model.nq)[0]
-    q[model.rigid_indices] = [graph.input(f"q[{k}]", column) for k, column in enumerate(samples.T)]
-    return Tree(graph, model.mechanism, model.embed(samples), (frame,), positions=q)
-
-
 class Roots:
     """Roots of the compliance and the stiffness of a frame, recorded on first use.
 
     Attributes:
         is_sound: whether nothing is in doubt in the roots used so far.
+        model: the elastic mechanism.
+        tree: its tree, recorded at q of the rigid mechanism with virtual joints at zero.
+        springs: the root U of the springs' compliance, v_s = U y, translations in units of length, shape=(s, s).
     """
 
-    def __init__(self, graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> None:
+    def __init__(self, model: ElasticModel, tree: Tree, frame: str) -> None:
         self.is_sound: Truth = np.True_
-        self._model, self._tree, self._frame = model, tree, frame
-        self._spring_root = spring_root(graph, model, tree)
+        self.model, self.tree, self.springs = model, tree, _spring_root(model, tree)
+        self._frame = frame
         self._unit = model.mechanism.length_unit
 
     @cached_property
@@ -98,12 +177,12 @@ class Roots:
     def stiffness(self) -> Objects:
         """X with K = X X^T, shape=(6, n); RigidDirectionError if the springs of a branch are rigid somewhere."""
         doubt = Doubt()
-        held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
+        held = _held(self.model, self.tree, self._frame, self.springs, doubt)
         rows = _whitened([_branch_rows(branch, doubt) for branch in held], doubt)
         if rows is None:
             raise RigidDirectionError("the springs of a branch are rigid in some direction")
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
-        return self._noted(rows.T, doubt)
+        return self.noted(rows.T, doubt)
 
     def coordinate_stiffness(self, components: Sequence[ToolComponent] = ()) -> Objects:
         """X with X X^T the stiffness of components of the twist, or of the declared coordinates, shape=(p, n).
@@ -114,26 +193,26 @@ class Roots:
             ProgramError: the frame does not follow the coordinates alone, at the sample poses.
         """
         doubt = Doubt()
-        held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
+        held = _held(self.model, self.tree, self._frame, self.springs, doubt)
         rows = _whitened([_branch_rows(branch, doubt) for branch in held], doubt, without_rigid=True)
         assert rows is not None
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
-        return self._noted(product(rows, self._coordinate_twists(components, doubt)).T, doubt)
+        return self.noted(product(rows, self._coordinate_twists(components, doubt)).T, doubt)
 
     def _coordinate_twists(self, chosen: Sequence[ToolComponent], doubt: Doubt) -> Objects:
         """Return the frame's twists at unit rates of the motions, all springs at rest, shape=(6, p)."""
-        mechanism = self._model.mechanism
-        coordinates = tool_coordinates(chosen) or self._model.rigid.declared_coordinates
+        mechanism = self.model.mechanism
+        coordinates = tool_coordinates(chosen) or self.model.rigid.declared_coordinates
         given = {c.joint: mechanism.single_joint(c.joint).v_index for c in coordinates if c.joint is not None}
-        passive = [k for k in self._model.rigid_velocity_indices if k not in given.values()]
+        passive = [k for k in self.model.rigid_velocity_indices if k not in given.values()]
         twist = identity(6)
-        components = twist if chosen else _component_rows(self._tree.frame(self._frame).rotation)
+        components = twist if chosen else _component_rows(self.tree.frame(self._frame).rotation)
         readings = [Reading(components[TOOL_COMPONENTS.index(c.tool)], c.unit == "m") for c in coordinates if c.tool]
         twists = response(
-            self._tree,
+            self.tree,
             self._frame,
-            joint_columns(self._tree, passive, self._frame),
-            joint_columns(self._tree, given.values(), self._frame),
+            joint_columns(self.tree, passive, self._frame),
+            joint_columns(self.tree, given.values(), self._frame),
             doubt,
             readings,
         )
@@ -146,20 +225,21 @@ class Roots:
 
     def _compliance(self, *, by_spring: bool) -> Objects:
         doubt = Doubt()
-        held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
+        held = _held(self.model, self.tree, self._frame, self.springs, doubt)
         if by_spring:
-            triangle, strains, order = _condensed_as_one(held, self._spring_root, doubt)
+            triangle, strains, order = _condensed_as_one(held, self.springs, doubt)
         else:
-            triangle, strains, order = _condensed(held, self._spring_root, doubt, like=has_like_springs(self._model))
+            triangle, strains, order = _condensed(held, self.springs, doubt, like=_has_like_springs(self.model))
         inverse = solve_upper(triangle, identity(6))
         columns = product(inverse, strains)
         columns = columns[np.argsort(order)]
         columns[:3] = columns[:3] * self._unit
         size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
         doubt.note_pivot(6.0 / size)
-        return self._noted(columns, doubt)
+        return self.noted(columns, doubt)
 
-    def _noted(self, root: Objects, doubt: Doubt) -> Objects:
+    def noted(self, root: Objects, doubt: Doubt) -> Objects:
+        """Return recorded numbers, and take note of their doubt."""
         self.is_sound = self.is_sound & doubt.is_none(root)
         return root
 
@@ -192,9 +272,9 @@ def _held(model: ElasticModel, tree: Tree, frame: str, root: Objects, doubt: Dou
     )
 
 
-def spring_root(graph: Graph, model: ElasticModel, tree: Tree) -> Objects:
-    """Record the root U of the springs' compliance, v_s = U y, translations in units of length, shape=(s, s)."""
-    values = spring_parameters(model)
+def _spring_root(model: ElasticModel, tree: Tree) -> Objects:
+    graph = tree.graph
+    values = _spring_parameters(model)
     root = zeros(len(model.spring_indices), len(model.spring_indices))
     _, powers = model.compliance_root
     for block, rows in zip(model.blocks, model.spring_slices, strict=True):
@@ -210,7 +290,7 @@ def spring_root(graph: Graph, model: ElasticModel, tree: Tree) -> Objects:
     return root
 
 
-def spring_parameters(model: ElasticModel) -> dict[str, float]:
+def _spring_parameters(model: ElasticModel) -> dict[str, float]:
     """Return the numbers of the springs that are parameters of programs, by name."""
     slides = model.mechanism.velocity_scale[model.spring_indices] != 1.0
     scaled = model.compliance_root[0] / np.where(slides, model.mechanism.length_unit, 1.0)[:, None]
@@ -229,9 +309,9 @@ def _root_entries(block: SpringBlock) -> dict[tuple[int, int], str]:
     return {(i, j): f"spring/{block.name}/U{i}{j}" for i in range(size) for j in range(i + 1)}
 
 
-def has_like_springs(model: ElasticModel) -> bool:
+def _has_like_springs(model: ElasticModel) -> bool:
     """Return whether the springs are similar enough in stiffness, in scaled units, to appear in pivots."""
-    sizes = np.abs([value for name, value in spring_parameters(model).items() if not name.endswith("/length")])
+    sizes = np.abs([value for name, value in _spring_parameters(model).items() if not name.endswith("/length")])
     return bool(sizes.max() < _LIKE * sizes.min())
 
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.dynamics.traced import holding_program
-from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
 from pm3dof_pin.elastic.springs import Spring
+from pm3dof_pin.elastic.traced import elastic_program
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.sensitivity_program import at_zero_errors
@@ -93,7 +93,7 @@ class PagePrograms:
         if self._model is None or robot.tool_frame is None:
             return None
         try:
-            found = elastic_program(self._model, robot.tool_frame, COMPLIANCE, closed=True)
+            found = elastic_program(self._model, robot.tool_frame, "compliance", COMPLIANCE.traced, closed=True)
         except ProgramError as error:
             _logger.info("no compliance in the page: %s", error)
             return None

@@ -65,7 +65,6 @@ def main() -> dict[str, float]:
                 "compliance": lambda model=model, many=many: compliance(model, many, threads=1),
                 "stiffness": lambda model=model, many=many: stiffness(model, many, threads=1),
                 "report": lambda model=model, poses=poses: [cartesian_compliance(model, q).stiffness for q in poses.q],
-                "careful": lambda model=model, poses=poses: cartesian_compliance(model, poses.q[0], engine="pinocchio"),
             },
             ROUNDS,
         )
@@ -77,7 +76,6 @@ def main() -> dict[str, float]:
             ratios[f"{robot}: {name} against bare Pinocchio calls"] = bare / each
             print(f"  {name:<22} {1e6 * each:8.3f} us/pose, {bare / each:.0f} times faster (goal {goal})")
         print(f"  cartesian_compliance   {1e6 * times['report'] / FEW:8.1f} us")
-        print(f"    and all its ranks    {1e6 * times['careful']:8.1f} us")
 
     return ratios
 

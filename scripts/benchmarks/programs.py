@@ -14,9 +14,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from pm3dof_pin.elastic.compiled import elastic_program, traced_quantity
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
+from pm3dof_pin.elastic.traced import elastic_program, traced_program
 from pm3dof_pin.programs import cache, llvm
 
 POSES = 16384
@@ -39,13 +39,13 @@ def main() -> None:
     for robot in ("pm3dof", "hexapod", "three_rps"):
         model = ElasticModel.load(robot)
         frame = model.rigid.tool_frame
-        trace, program = timed(lambda: traced_quantity(model, frame, COMPLIANCE, closed=True))  # noqa: B023
+        trace, program = timed(lambda: traced_program(model, frame, "compliance", COMPLIANCE.traced, closed=True))  # noqa: B023
         with tempfile.TemporaryDirectory() as folder:
             os.environ["PM3DOF_CACHE_DIR"] = folder
             first, _ = timed(lambda: cache.compiled(cache.stored(robot, lambda: program)))  # noqa: B023
             careful, _ = timed(lambda: llvm.object_code(program, processor.lanes, careful=True))  # noqa: B023
             second, compiled = timed(lambda: cache.compiled(cache.stored(robot, lambda: program)))  # noqa: B023
-            parameters = elastic_program(model, frame, COMPLIANCE, closed=True).parameters
+            parameters = elastic_program(model, frame, "compliance", COMPLIANCE.traced, closed=True).parameters
         poses = np.tile(model.rigid.home.q, (POSES, 1))
         out = np.empty((POSES, len(program.results)))
         times = {1: np.inf, 2: np.inf, "one pose": np.inf}

@@ -19,9 +19,9 @@ from cpp_pinocchio import jacobians_microseconds
 from timing import least_time
 
 from pm3dof_pin.elastic.batch import compliance
-from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
+from pm3dof_pin.elastic.traced import elastic_program
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -71,7 +71,7 @@ def gains_of_two_threads(model: ElasticModel, poses: Poses) -> dict[str, float]:
     matrices goes to new memory at every call, which the kernel zeroes at memory speed.
     """
     tool = model.mechanism.model.frames[model.mechanism.tool_frame_id].name
-    program = elastic_program(model, tool, COMPLIANCE, closed=True)
+    program = elastic_program(model, tool, "compliance", COMPLIANCE.traced, closed=True)
     q = np.ascontiguousarray(poses.q.reshape(-1, poses.q.shape[-1]))
     out = np.zeros((len(q), len(program.compiled.program.results)))
 

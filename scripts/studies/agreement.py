@@ -23,7 +23,7 @@ import pinocchio as pin
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.elastic.batch import evaluate, stiffness
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.quantities import COMPLIANCE_AND_STIFFNESS
+from pm3dof_pin.elastic.quantities import COMPLIANCE, STIFFNESS
 from pm3dof_pin.elastic.springs import AxialSpring, ClosureSpring, JointSpring
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
@@ -275,13 +275,13 @@ def compared_elasticity(model: ElasticModel, q: Matrix) -> tuple[Agreement, Agre
     Entries of rigid directions are scaled by the softest one over a characteristic length.
     """
     poses = Poses(model.rigid, q)
-    found = evaluate(model, poses, COMPLIANCE_AND_STIFFNESS, on_failure="nan")
-    careful = evaluate(model, poses, COMPLIANCE_AND_STIFFNESS, on_failure="nan", engine="pinocchio").values
     length = model.mechanism.characteristic_length
-    return tuple(  # type: ignore[return-value]
-        _agreement(found.values[:, k], careful[:, k], found.redone, _scale(careful[:, k], unit))
-        for k, unit in enumerate((np.repeat([length, 1.0], 3), np.repeat([1.0, length], 3)))
-    )
+    agreements = []
+    for quantity, unit in ((COMPLIANCE, np.repeat([length, 1.0], 3)), (STIFFNESS, np.repeat([1.0, length], 3))):
+        found = evaluate(model, poses, quantity, on_failure="nan")
+        careful = evaluate(model, poses, quantity, on_failure="nan", engine="pinocchio").values
+        agreements.append(_agreement(found.values, careful, found.redone, _scale(careful, unit)))
+    return agreements[0], agreements[1]
 
 
 def model_is_rigid(model: ElasticModel, q: Matrix) -> bool:

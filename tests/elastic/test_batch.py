@@ -12,7 +12,6 @@ import pytest
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.elastic import indices, shares
 from pm3dof_pin.elastic.batch import compliance, evaluate, stiffness
-from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.elastic.loaded import loaded_equilibrium
@@ -27,6 +26,7 @@ from pm3dof_pin.elastic.quantities import (
 )
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, ClosureSpring, JointSpring, Spring
+from pm3dof_pin.elastic.traced import elastic_program
 from pm3dof_pin.exceptions import FreeDirectionError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -282,7 +282,7 @@ def test_walk_through_a_singular_pose(rigid_tree: Callable[..., Robot]) -> None:
     way = singular + np.concatenate([-np.logspace(-1.5, -9, 60), [0.0], np.logspace(-9, -1.5, 60)])
     poses = np.column_stack([np.full(len(way), 0.02), np.full(len(way), 0.03), way])
     q = planar_poses(model, bases, heads, poses)
-    values, sound = elastic_program(model, "platform", COMPLIANCE, closed=True).with_doubt(q)
+    values, sound = elastic_program(model, "platform", "compliance", COMPLIANCE.traced, closed=True).with_doubt(q)
     assert sound.any()
     assert not sound.all()
     for matrix, pose in zip(values.reshape(-1, 6, 6)[sound], poses[sound], strict=True):

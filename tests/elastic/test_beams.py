@@ -243,7 +243,7 @@ def test_a_portal_closed_by_a_weld(
     model, expected = portal(rigid_tree, feet, hinge, motor)
     q = np.zeros(model.rigid.model.nq)
     is_compiled = (motor is None) == (feet[0] == feet[1])  # each kind of portal compiles programs of its own
-    result = cartesian_compliance(model, q, engine="program" if is_compiled else "pinocchio")
+    result = cartesian_compliance(model, q)
     assert result.motions.relation_rank.rank == (6 if hinge is None else 5)
     assert_same(result.compliance, expected)
     assert_same(result.stiffness, np.linalg.inv(expected))

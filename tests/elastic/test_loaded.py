@@ -14,7 +14,8 @@ from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.elastic.buckling import search_buckling
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.loaded import equilibrium_path, load_deflection, loaded_equilibrium
+from pm3dof_pin.elastic.load_path import LoadPath
+from pm3dof_pin.elastic.loaded import load_deflection, loaded_equilibrium
 from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, CantileverSpring, JointSpring
@@ -300,14 +301,17 @@ def test_the_path_goes_through_the_limit_point_and_out_on_the_other_side(rigid_t
     half, height, stiffness = 1.0, 0.2, 1e6
     model = truss(rigid_tree, half, height, stiffness)
     rest = np.hypot(half, height)
-    path = equilibrium_path(model, np.zeros(3), Loads({"apex": [0, 0, -1.0, 0, 0, 0]}), 1500.0, 60)
-    heights = np.array([height + point.displacement()[2] for point in path])
-    factors = np.array([point.factor for point in path])
+    path = LoadPath(model, np.zeros(3), Loads({"apex": [0, 0, -1.0, 0, 0, 0]}), None)
+    points = [path.begin(path.unloaded(), 1500.0)]
+    for _ in range(60):
+        points.append(path.advance(points[-1], 1.0).end)
+    heights = np.array([point.state.configuration.tool_placement.translation[2] for point in points])
+    factors = np.array([point.factor for point in points])
     np.testing.assert_allclose(factors, stiffness * (rest / np.hypot(half, heights) - 1.0) * heights, atol=1e-4)
     assert (np.diff(heights) < 0.0).all()
     assert heights.min() < -height
     assert factors.max() > 0.0 > factors.min()
-    stable = [point.stable for point in path]
+    stable = [point.stable for point in points]
     # the tangent stiffness of the bar alone changes sign at l^3 = l0 b^2
     limit = np.sqrt(np.cbrt(rest * half**2) ** 2 - half**2)
     assert stable == [abs(h) > limit for h in heights]
