@@ -17,7 +17,7 @@ from pm3dof_pin.cli import completion
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.errors.error_parameters import GeometricErrors
-    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.kinematics.robot import LoadOptions, Robot
     from pm3dof_pin.typing import Engine
 
 THE_TRIPOD = "pm3dof"
@@ -84,6 +84,16 @@ _ToolFrame = Annotated[
 _PackagePath = Annotated[
     list[Path] | None, typer.Option(metavar="DIR", help="Folder with ROS packages; may be repeated.")
 ]
+_DriveStiffness = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="K|JOINT=K,..",
+        help="Stiffness of the drives, felt at their joints: of all, or of those named [N/m, N m/rad].",
+    ),
+]
+_XacroArg = Annotated[
+    list[str] | None, typer.Option(metavar="NAME:=VALUE", help="Argument of a xacro file; may be repeated.")
+]
 _ErrorFile = Annotated[
     Path | None,
     typer.Option(
@@ -122,23 +132,25 @@ OutFile = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions:
-    """The robot: `--robot`, `--tool-frame` and `--package-path`."""
+    """The robot, and how its description is read."""
 
     robot: _RobotName = THE_TRIPOD
     tool_frame: _ToolFrame = None
     package_path: _PackagePath = None
+    drive_stiffness: _DriveStiffness = None
+    xacro_arg: _XacroArg = None
 
     def load(self, engine: Engine = "program", threads: int | None = None) -> Robot:
         """Load the robot."""
         from pm3dof_pin.kinematics.robot import Robot
 
-        return Robot.load(self.path, **self.reading, engine=engine, threads=threads)
+        return Robot.load(self.path, **(self.reading | {"engine": engine, "threads": threads}))
 
     def load_errors(self, engine: Engine = "program") -> GeometricErrors:
         """Load the robot with all its error parameters."""
         from pm3dof_pin.errors.error_parameters import GeometricErrors
 
-        return GeometricErrors.load(self.robot, **self.reading, engine=engine)
+        return GeometricErrors.load(self.robot, **(self.reading | {"engine": engine}))
 
     @property
     def path(self) -> str | Path:
@@ -146,9 +158,14 @@ class RobotOptions:
         return self.robot
 
     @property
-    def reading(self) -> dict[str, Any]:
-        """Keyword arguments for reading it."""
-        return {"tool_frame": self.tool_frame, "package_paths": self.package_path or ()}
+    def reading(self) -> LoadOptions:
+        """Keyword arguments for reading it; wrong usage ends the command with status 2."""
+        return {
+            "tool_frame": self.tool_frame,
+            "package_paths": self.package_path or (),
+            "xacro_args": dict(_xacro_argument(text) for text in self.xacro_arg or ()),
+            "drive_stiffness": _drive_stiffness(self.drive_stiffness),
+        }
 
     @property
     def is_the_tripod(self) -> bool:
@@ -244,6 +261,23 @@ class PoseOptions(PlaceOptions):
         super().__post_init__()
         if self.out is not None and self.poses is None:
             raise typer.BadParameter("--out requires --poses")
+
+
+def _xacro_argument(text: str) -> tuple[str, str]:
+    name, separator, value = text.partition(":=")
+    if not (name and separator):
+        raise typer.BadParameter(f"--xacro-arg {text}: expected NAME:=VALUE")
+    return name, value
+
+
+def _drive_stiffness(texts: list[str] | None) -> float | dict[str, float] | None:
+    """Read `--drive-stiffness`: one number, or numbers by joint."""
+    entries = [entry.strip() for text in texts or () for entry in text.split(",")]
+    if len(entries) == 1 and "=" not in entries[0]:
+        return finite_number(entries[0])
+    if wrong := [entry for entry in entries if not all(entry.partition("="))]:
+        raise typer.BadParameter(f"--drive-stiffness {wrong[0]}: expected one number, or JOINT=NUMBER for each drive")
+    return {name: finite_number(value) for name, _, value in (entry.partition("=") for entry in entries)} or None
 
 
 def with_groups(function: Callable[..., None]) -> Callable[..., None]:

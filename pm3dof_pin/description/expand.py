@@ -124,9 +124,11 @@ def _expanded_apart(
         advice = "if you trust the file: pm3dof --trust-xacro ..., or trust_xacro()"
         raise DescriptionError(path, "xacro", f"is not allowed: {answer['refused']}; {advice}")
     if "error" in answer:
-        advice = ", which has no default; write a URDF with xacro FILE NAME:=VALUE -o FILE.urdf first"
+        advice = ", which has no default: --xacro-arg NAME:=VALUE, or xacro_args={NAME: VALUE}"
         is_argument = answer["error"].startswith("Undefined substitution argument")
         raise DescriptionError(path, "xacro", answer["error"] + (advice if is_argument else ""))
+    if answer.get("unknown"):
+        raise DescriptionError(path, "xacro", f"has no argument '{answer['unknown'][0]}'")
     if sum(map(len, texts)) > MOST_BYTES:
         raise DescriptionError(path, "xacro", f"expected no more than {MOST_BYTES >> 20} MiB when expanded")
     return texts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import atexit
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -82,7 +82,11 @@ def robot_names() -> list[str]:
     )
 
 
-def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = ()) -> RobotFiles:
+def find_robot(
+    name_or_path: str | Path,
+    package_paths: Iterable[str | Path] = (),
+    xacro_args: Mapping[str, str] | None = None,
+) -> RobotFiles:
     """Find the files of a robot.
 
     Args:
@@ -91,11 +95,12 @@ def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = (
             - a name of :func:`robot_names`, or of a robot of example-robot-data where that is installed;
             - a URDF `x.urdf`. Its closures file `x.closures.yaml` or `robot.yaml` may be next to it or in `../urdf`,
               its SRDF `x.srdf` next to it or in `../srdf`; without a closures file it is a serial robot;
-            - a xacro file that expands to a URDF, all arguments at their defaults;
+            - a xacro file that expands to a URDF;
             - an MJCF file;
             - a closures file, `x.closures.yaml` or `robot.yaml`, with its URDF next to it;
             - a folder with one of these: `robot.yaml` with `robot.urdf`, or the folder of a ROS package with `urdf/`.
         package_paths: folders of ROS packages, searched before ROS_PACKAGE_PATH and the folders above the file.
+        xacro_args: values of arguments (`xacro:arg`) of a xacro file, by name; the others have their defaults.
 
     Raises:
         UnknownRobotError: neither a known name nor an existing path.
@@ -105,7 +110,11 @@ def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = (
     environment = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     packages = [Path(folder) for folder in (*package_paths, *environment) if folder]
     name = tree.name.removesuffix(".xacro").removesuffix(".urdf") if tree.suffix == ".xacro" else tree.stem
-    path = _expand(tree.resolve(), name, packages) if tree.suffix == ".xacro" else tree
+    path = tree
+    if tree.suffix == ".xacro":
+        path = _expand(tree.resolve(), name, packages, xacro_args or {})
+    elif xacro_args:
+        raise DescriptionError(tree, "file", f"is not a xacro file, so it has no argument {next(iter(xacro_args))}")
     form = _format_of(path)
     if closures is None:
         closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *([_CLOSURES_FALLBACK] if form == "urdf" else []))
@@ -195,14 +204,16 @@ def _is_mjcf(tree: Path) -> bool:
         return False
 
 
-def _expand(xacro: Path, name: str, packages: Sequence[Path]) -> Path:
+def _expand(xacro: Path, name: str, packages: Sequence[Path], arguments: Mapping[str, str]) -> Path:
     from pm3dof_pin.description.expand import is_xacro_trusted
 
-    return _expanded(xacro, name, tuple(packages), is_xacro_trusted())
+    return _expanded(xacro, name, tuple(packages), tuple(sorted(arguments.items())), is_xacro_trusted())
 
 
 @cache
-def _expanded(xacro: Path, name: str, packages: tuple[Path, ...], trusted: bool) -> Path:
+def _expanded(
+    xacro: Path, name: str, packages: tuple[Path, ...], arguments: tuple[tuple[str, str], ...], trusted: bool
+) -> Path:
     """Expand a xacro file to a temporary URDF, which lasts as long as the process."""
     import shutil
     import tempfile
@@ -212,5 +223,5 @@ def _expanded(xacro: Path, name: str, packages: tuple[Path, ...], trusted: bool)
     folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     urdf = folder / f"{name}.urdf"
-    urdf.write_text(expand_xacro(xacro, package_paths=packages), encoding="utf-8")
+    urdf.write_text(expand_xacro(xacro, dict(arguments), package_paths=packages), encoding="utf-8")
     return urdf

@@ -44,6 +44,22 @@ class _RefusedError(Exception):
     """The file attempts something forbidden."""
 
 
+class _Arguments(dict[str, str]):
+    """Values of arguments, which record the names that the file declares or reads."""
+
+    def __init__(self, values: dict[str, str], known: set[str]) -> None:
+        super().__init__(values)
+        self._known = known
+
+    def __contains__(self, name: object) -> bool:
+        self._known.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self._known.add(name)
+        return super().__getitem__(name)
+
+
 @functools.cache
 def _checked(expression: str) -> Any:
     """Return the compiled expression if it contains nothing forbidden."""
@@ -140,12 +156,13 @@ def _answer(request: dict[str, Any]) -> dict[str, Any]:
     _limit()
     _watch(folders, [os.path.realpath(file) for file in request["files"]])
     texts: list[str] = []
+    known: set[str] = set()
     for path in request["paths"]:
-        answer = _expanded(xacro, path, dict(request["mappings"]))
+        answer = _expanded(xacro, path, _Arguments(request["mappings"], known))
         if "text" not in answer:
             return {**answer, "texts": texts}
         texts.append(answer["text"])
-    return {"texts": texts}
+    return {"texts": texts, "unknown": sorted(set(request["mappings"]) - known)}
 
 
 def _expanded(xacro: Any, path: str, mappings: dict[str, str]) -> dict[str, str]:

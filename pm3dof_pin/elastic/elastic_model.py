@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen, require_kind
@@ -24,7 +25,7 @@ from pm3dof_pin.elastic.springs import (
 )
 from pm3dof_pin.elastic.virtual_joints import insert_virtual_joints
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError, ProgramError
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import LoadOptions, Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Indices, Matrix, Vector
 
@@ -101,7 +102,8 @@ class ElasticModel:
         self.rigid = mechanism
         self.springs = read_springs(mechanism.springs, mechanism.source) if springs is None else tuple(springs)
         if not self.springs:
-            raise DescriptionError(mechanism.source, "springs", "is missing or empty, expected at least one spring")
+            advice = "there are none: --drive-stiffness K (drive_stiffness=K), or `springs` in a closures file"
+            raise DescriptionError(mechanism.source, "springs", advice)
         self._check_joints()
         virtual = insert_virtual_joints(mechanism, self.springs)
         self.mechanism = virtual.mechanism
@@ -117,9 +119,9 @@ class ElasticModel:
         self.programs: dict[tuple[object, ...], BoundProgram | ProgramError] = {}
 
     @classmethod
-    def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> ElasticModel:
+    def load(cls, source: str | Path | pin.Model, **options: Unpack[LoadOptions]) -> ElasticModel:
         """Load a robot with its springs, as :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>` does."""
-        return cls(Robot.load(name_or_path, characteristic_length=characteristic_length))
+        return cls(Robot.load(source, **options))
 
     def __repr__(self) -> str:
         return f"ElasticModel({self.rigid.name}: {len(self.springs)} springs, {self.mechanism.model.nv} velocities)"

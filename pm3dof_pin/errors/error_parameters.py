@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Unpack
 
 import numpy as np
 import pinocchio as pin
@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.description.error_file import AXES, ErrorFile, read_error_file
 from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import LoadOptions, Robot
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.typing import Engine, Matrix, Motion, Vector
+from pm3dof_pin.typing import Matrix, Motion, Vector
 
 Distribution = Literal["normal", "uniform"]
 
@@ -111,14 +111,7 @@ class GeometricErrors:
         self._movers: dict[int, Vector] = {}
 
     @classmethod
-    def load(
-        cls,
-        name_or_path: str | Path,
-        *,
-        tool_frame: str | None = None,
-        package_paths: Iterable[str | Path] = (),
-        engine: Engine = "program",
-    ) -> GeometricErrors:
+    def load(cls, source: str | Path | pin.Model, **options: Unpack[LoadOptions]) -> GeometricErrors:
         """Load a robot with the error parameters of its `<stem>.errors.yaml`; without that file, with all of them.
 
         Arguments are those of :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
@@ -128,9 +121,8 @@ class GeometricErrors:
             DescriptionError: a file is unreadable or malformed.
             FrameNotFoundError: a file names a joint or frame that the URDF does not have.
         """
-        robot = Robot.load(name_or_path, tool_frame=tool_frame, package_paths=package_paths, engine=engine)
-        assert robot.files is not None
-        return cls.of(robot, robot.files.errors)
+        robot = Robot.load(source, **options)
+        return cls(robot) if robot.files is None else cls.of(robot, robot.files.errors)
 
     @classmethod
     def of(cls, robot: Robot, file: Path) -> GeometricErrors:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
+from typing import Unpack
 
 from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.exceptions import InvalidValueError
@@ -16,6 +17,7 @@ from pm3dof_pin.export.robot_document import RobotDocument, read_robot
 from pm3dof_pin.export.ros import OUR_MANIFEST, ros_files, ros_package_name
 from pm3dof_pin.export.sdf import sdf_text
 from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.robot import LoadOptions
 
 _WRITERS: dict[str, Callable[[RobotDocument], dict[str, str]]] = {
     "drake": lambda robot: {f"{robot.file_name}.urdf": drake_text(robot)},
@@ -51,8 +53,7 @@ def export_robot(
     folder: str | Path,
     *,
     meshes: bool = True,
-    tool_frame: str | None = None,
-    package_paths: Iterable[str | Path] = (),
+    **options: Unpack[LoadOptions],
 ) -> list[Path]:
     """Write a robot's description for another tool, with its mesh files.
 
@@ -66,8 +67,7 @@ def export_robot(
         format_name: one of :data:`FORMATS`.
         folder: output folder, created if missing. A ROS package becomes a folder in it.
         meshes: whether mesh shapes are exported, and their files written.
-        tool_frame: tool frame, if not or differently described.
-        package_paths: folders of ROS packages.
+        options: see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
 
     Returns:
         The files written.
@@ -82,7 +82,7 @@ def export_robot(
         ConvergenceError: the loops do not close near the home configuration.
         OutputError: a file cannot be written.
     """
-    document = read_robot(robot, meshes=meshes, tool_frame=tool_frame, package_paths=package_paths)
+    document = read_robot(robot, meshes=meshes, **options)
     files = exported_files(document, format_name)
     target = Path(folder) / ros_package_name(document.name) if format_name == "ros" else Path(folder)
     kinds = _MESH_KINDS.get(format_name)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import copy
 import logging
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Unpack
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,7 +20,7 @@ from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.meshes import Meshes
 from pm3dof_pin.export.urdf_document import Inertial, Joint, Link, Origin, UrdfDocument, read_urdf
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import LoadOptions, Robot
 from pm3dof_pin.mechanism.as_urdf import NEGLIGIBLE_MASS, NEGLIGIBLE_MOMENT, as_urdf
 from pm3dof_pin.mechanism.configuration import Configuration
 
@@ -138,8 +139,7 @@ def read_robot(
     name_or_path: str | Path,
     *,
     meshes: bool = True,
-    tool_frame: str | None = None,
-    package_paths: Iterable[str | Path] = (),
+    **options: Unpack[LoadOptions],
 ) -> RobotDocument:
     """Read a robot for export, as a plain URDF if it is in another format or has joints that URDF lacks.
 
@@ -151,10 +151,10 @@ def read_robot(
         FrameNotFoundError: the closures file names a frame that the URDF does not have.
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
     """
-    mechanism = Robot.load(name_or_path, tool_frame=tool_frame, package_paths=package_paths)
+    mechanism = Robot.load(name_or_path, **options)
     files = as_urdf(mechanism, floating=False)
     if files is not mechanism.files:
-        mechanism = Robot.load(files.urdf, tool_frame=tool_frame)
+        mechanism = Robot.load(files.urdf, tool_frame=options.get("tool_frame"))
     urdf = _without_limits_that_are_none(read_urdf(files.urdf, meshes=meshes), mechanism)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
     names = [shape.mesh for shape in shapes if shape.kind == "mesh"]

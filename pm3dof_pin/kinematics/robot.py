@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 import pinocchio as pin
@@ -16,8 +16,14 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import finite_array, frozen, real_array, require_choice, require_count
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
-from pm3dof_pin.description.robots import find_robot
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
+from pm3dof_pin.description.physical_bounds import STIFFNESS
+from pm3dof_pin.exceptions import (
+    ConvergenceError,
+    DescriptionError,
+    InvalidValueError,
+    ProgramError,
+    UnreachablePoseError,
+)
 from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.careful import assemble_at
@@ -29,11 +35,13 @@ from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.unit_sense import other_unit
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.mechanism.robot_description import read_description
+from pm3dof_pin.mechanism.robot_description import read_source
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Array, Engine, Matrix, OnFailure, Vector
 
 if TYPE_CHECKING:
+    import yourdfpy
+
     from pm3dof_pin.kinematics.closing_programs import ProgramSource
     from pm3dof_pin.kinematics.continuation import Continuation
 
@@ -43,6 +51,18 @@ _GREATEST = 1e12  # magnitude of a coordinate or command; beyond it arithmetic o
 _HOME = "home"
 _MANY = 32  # poses that justify a program
 _CONTRADICTION = 1e-6  # least difference of contradicting commands of redundant drives [rad, characteristic lengths]
+
+
+class LoadOptions(TypedDict, total=False):
+    """Options of whatever loads a robot, see :meth:`Robot.load`."""
+
+    tool_frame: str | None
+    package_paths: Iterable[str | Path]
+    xacro_args: Mapping[str, str] | None
+    drive_stiffness: float | Mapping[str, float] | None
+    characteristic_length: float | None
+    engine: Engine
+    threads: int | None
 
 
 class Robot(Mechanism):
@@ -81,15 +101,17 @@ class Robot(Mechanism):
     @classmethod
     def load(
         cls,
-        name_or_path: str | Path,
+        source: str | Path | pin.Model | yourdfpy.URDF,
         *,
         tool_frame: str | None = None,
         package_paths: Iterable[str | Path] = (),
+        xacro_args: Mapping[str, str] | None = None,
+        drive_stiffness: float | Mapping[str, float] | None = None,
         characteristic_length: float | None = None,
         engine: Engine = "program",
         threads: int | None = None,
     ) -> Robot:
-        """Load a robot by name or from its description.
+        """Load a robot by name, from its description, or from a model of another library.
 
         Example:
             >>> import pm3dof_pin as pm
@@ -97,10 +119,13 @@ class Robot(Mechanism):
             Robot(hexapod: 24 joints, 6 actuated, 6 closures, tool O_e)
 
         Args:
-            name_or_path: name of a robot, or path of a URDF, xacro, MJCF or closures file, or of a folder containing
-                one; see :func:`~pm3dof_pin.description.robots.find_robot`.
+            source: name of a robot, or path of a URDF, xacro, MJCF or closures file, or of a folder containing one, see
+                :func:`~pm3dof_pin.description.robots.find_robot`. Or a `pinocchio.Model`, or a `yourdfpy.URDF`: these
+                have no loops; `Robot(model, closures, actuated_joints=..., tool_frame=...)` closes them.
             tool_frame: tool frame, instead of the described one.
             package_paths: folders of ROS packages.
+            xacro_args: values of the arguments of a xacro file, by name.
+            drive_stiffness: see :meth:`with_drive_stiffness` [N/m, N m/rad].
             characteristic_length: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism` [m].
             engine: see :meth:`with_engine`.
             threads: see there.
@@ -110,9 +135,46 @@ class Robot(Mechanism):
             DescriptionError: a file is missing, unreadable or malformed.
             FrameNotFoundError: the tool or a closure refers to a frame that the tree does not have.
             JointNotFoundError: the closures file names a joint that the tree does not have.
+            InvalidValueError: the source is none of these.
         """
-        described = read_description(find_robot(name_or_path, package_paths), tool_frame)
-        return cls(**described, characteristic_length=characteristic_length, engine=engine, threads=threads)
+        described = read_source(source, tool_frame=tool_frame, package_paths=package_paths, xacro_args=xacro_args)
+        robot = cls(**described, characteristic_length=characteristic_length, engine=engine, threads=threads)
+        return robot if drive_stiffness is None else robot.with_drive_stiffness(drive_stiffness)
+
+    def with_drive_stiffness(self, stiffness: float | Mapping[str, float]) -> Robot:
+        """Return the robot with springs at its drives, in place of joint springs that these have in the description.
+
+        Such a spring is the drive with its transmission, as felt at the actuated joint. Drives without a spring are
+        rigid.
+
+        Example:
+            >>> import pm3dof_pin as pm
+            >>> robot = pm.load("linear_delta").with_drive_stiffness(1e7)
+            >>> pm.compliance(robot, robot.home).shape
+            (6, 6)
+
+        Args:
+            stiffness: of every actuated joint, or of those named [N/m for a prismatic joint, N m/rad for a revolute].
+
+        Raises:
+            InvalidValueError: a stiffness is not a positive number, or a joint is not actuated.
+            DescriptionError: the robot has no actuated joints.
+        """
+        if not self.actuated_joints:
+            raise DescriptionError(self.source, "actuated joints", "there are none to give a drive stiffness to")
+        given = stiffness if isinstance(stiffness, Mapping) else dict.fromkeys(self.actuated_joints, stiffness)
+        springs = []
+        for name, value in given.items():
+            if name not in self.actuated_joints:
+                raise InvalidValueError("drive", name, f"one of {', '.join(self.actuated_joints)}")
+            number = float(finite_array(f"drive stiffness of {name}", value, ()))
+            if not 0.0 < number <= STIFFNESS.greatest:
+                expected = f"a positive number of at most {STIFFNESS.greatest:g} N/m or N m/rad"
+                raise InvalidValueError(f"drive stiffness of {name}", f"{number:g}", expected)
+            unit = "N/m" if self.single_joint(name).translates else "N m/rad"
+            springs.append({"name": name, "type": "joint", "joint": name, "stiffness": number, "unit": unit})
+        others = [entry for entry in self.springs if not (entry.get("type") == "joint" and entry.get("joint") in given)]
+        return self.replace(springs=[*others, *springs])
 
     def with_engine(self, engine: Engine, *, threads: int | None = None) -> Robot:
         """Return the same robot computed by another engine, in everything that is computed for it.

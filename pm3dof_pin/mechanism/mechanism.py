@@ -258,7 +258,9 @@ class Mechanism:
         """Pinocchio's index of the tool frame; DescriptionError if the mechanism has none."""
         if self.tool_frame is None:
             raise DescriptionError(
-                self.source, "tool_frame", "is missing: --tool-frame NAME, or tool_frame in a closures file"
+                self.source,
+                "tool_frame",
+                "is missing: --tool-frame NAME (tool_frame=NAME), or `tool_frame` in a closures file",
             )
         return self._frame_ids[self.tool_frame]
 

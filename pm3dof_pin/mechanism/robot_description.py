@@ -1,19 +1,62 @@
-"""The content of a robot's files, in any supported format, as arguments of a mechanism."""
+"""The content of a robot's files, or a robot of another library, as arguments of a mechanism."""
 
 from __future__ import annotations
 
+import atexit
 import logging
-from collections.abc import Sequence
+import shutil
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pinocchio as pin
 
 from pm3dof_pin.description.closures import ClosuresFile, read_closures
-from pm3dof_pin.description.robots import RobotFiles
+from pm3dof_pin.description.robots import RobotFiles, find_robot
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.model_files import UNLIMITED, read_model, read_named_configurations
 
 _logger = logging.getLogger(__name__)
+
+
+def read_source(
+    source: object,
+    *,
+    tool_frame: str | None = None,
+    package_paths: Iterable[str | Path] = (),
+    xacro_args: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
+    """Read what :func:`pm3dof_pin.load` takes into the arguments of a mechanism.
+
+    Raises:
+        InvalidValueError: it is none of these, or options of files are given for what is not read from one.
+        DescriptionError, JointNotFoundError: as :func:`read_description`.
+    """
+    if isinstance(source, (str, Path)):
+        return read_description(find_robot(source, package_paths, xacro_args), tool_frame)
+    if given := [name for name, value in (("package_paths", package_paths), ("xacro_args", xacro_args)) if value]:
+        raise InvalidValueError(given[0], "given", f"a file to read with it, not a {type(source).__name__}")
+    if isinstance(source, pin.Model):
+        model = source.copy()
+        _free_joints_without_limits(model, (), source.name)
+        return {"model": model, "tool_frame": tool_frame}
+    if any(kind.__module__.partition(".")[0] == "yourdfpy" for kind in type(source).__mro__):
+        return read_description(find_robot(_urdf_file(source)), tool_frame)
+    raise InvalidValueError(
+        "robot",
+        f"a {type(source).__name__}",
+        "the name of a robot, the path of its description, a pinocchio.Model or a yourdfpy.URDF",
+    )
+
+
+def _urdf_file(urdf: Any) -> Path:
+    """Write the document of a yourdfpy.URDF to a file that lasts as long as the process."""
+    folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path = folder / f"{urdf.robot.name or 'robot'}.urdf"
+    path.write_bytes(urdf.write_xml_string())
+    return path
 
 
 def read_description(files: RobotFiles, tool_frame: str | None = None) -> dict[str, Any]:
@@ -43,7 +86,7 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> dict[s
     return {name: value for name, value in arguments.items() if name not in ("path", "joint_types")}
 
 
-def _free_joints_without_limits(model: pin.Model, actuated_joints: Sequence[str], path: Path) -> None:
+def _free_joints_without_limits(model: pin.Model, actuated_joints: Sequence[str], path: Path | str) -> None:
     """Treat limits 0 .. 0 of all actuated joints as not given."""
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     joints = list(zip(model.names, model.joints, strict=True))[1:]

@@ -258,7 +258,7 @@ def test_what_is_no_xacro_is_refused(tmp_path: Path, text: str | None, said: str
         ("${xacro.load_yaml('/etc/passwd')}", "it reads /etc/passwd, which is not in"),
         ("$(env HOME)", "environment variable 'HOME' is not set"),
         ("$(find elsewhere)", "no package 'elsewhere' in .* \\(--package-path adds a folder\\)"),
-        ("$(arg mass)", "Undefined substitution argument mass, which has no default; write a URDF with xacro"),
+        ("$(arg mass)", "Undefined substitution argument mass, which has no default: --xacro-arg"),
         ("${len([0] * 10 ** 10)}", "GiB of memory"),
         ("${xacro.load_yaml('outside.yaml')}", "it reads .*outside.yaml, which is not in"),
     ],

@@ -109,7 +109,7 @@ def test_a_name_is_no_robot_and_poses_are_no_configuration(mechanism: Robot, tmp
         ("an ElasticModel, as returned by pm.ElasticModel.load", lambda m: pm.cartesian_compliance(m, mechanism.home)),
         ("a Configuration, as returned by Poses.configuration", pm.singularities),
         ("a Configuration, as returned by Poses.configuration", pm.instantaneous_mobility),
-        ("expected one of hexapod", lambda _: pm.load(3)),  # type: ignore[arg-type]
+        ("the path of its description", lambda _: pm.load(3)),
     ]
     for expected, take in takers:
         for given in (name, None, mechanism.solve([0.0, 0.0, 0.5])):
