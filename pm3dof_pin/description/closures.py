@@ -6,29 +6,110 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, TypeAlias
 
 import msgspec
+import numpy as np
 
+from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.description.closure_types import CLOSURE_TYPE_NAMES, CLOSURE_TYPES, ClosureType, ClosureTypeName
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, ToolComponent, Unit
+from pm3dof_pin.description.couplings import MAX_DEGREE, Coupling
+from pm3dof_pin.description.origin import NOWHERE, Origin
 from pm3dof_pin.description.physical_bounds import LENGTH
-from pm3dof_pin.description.schema import Length, Name, Schema, checked
+from pm3dof_pin.description.schema import Length, Name, PositiveLength, Schema, checked
 from pm3dof_pin.description.yaml_file import read_mapping
-from pm3dof_pin.exceptions import DescriptionError
-
-ClosureType = Literal["3d", "6d"]
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.typing import Matrix
 
 _LEAST_SCALE = 1e-9
+_MIN_LENGTH = 1e-6  # m
+_UNIT = 1e-12  # relative rounding of a unit vector
+
+Axis: TypeAlias = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class LoopClosure:
-    """One loop closure between two frames of the tree."""
+    """One loop closure between two frames of the tree.
+
+    Raises:
+        InvalidValueError: the type is unknown, or has no use for an axis or length given, or lacks its length.
+    """
 
     frame_a: str  #: frame at the end of one branch
     frame_b: str  #: frame at the end of the other
-    type: ClosureType  # "3d", the origins coincide (a spherical joint), or "6d", the frames coincide (a weld)
+    #: a name of :data:`CLOSURE_TYPES` or one of its aliases, such as "3d", the origins coincide (a spherical joint),
+    #: or "6d", the frames coincide (a weld)
+    type: ClosureTypeName
     swing_limit: float | None = None  #: maximum angle between the z axes of the two frames [rad], or None
+    #: the closure's axis in frame a, a unit vector: z by default, for a universal joint x. Also that of frame b,
+    #: unless this has its own
+    axis: Axis | None = None
+    #: its axis in frame b, a unit vector; for a universal joint the second axis, y by default
+    axis_b: Axis | None = None
+    length: float | None = None  #: the distance of the origins [m] that a closure of type "distance" holds
+    origin: Origin = field(default=NOWHERE, compare=False, repr=False)  #: where it is described
+
+    def __post_init__(self) -> None:
+        """Replace an alias by the type's name, make the axes unit vectors, and check what the type needs."""
+        if (name := CLOSURE_TYPE_NAMES.get(self.type)) is None:
+            raise InvalidValueError("type", self.type, f"one of {', '.join(CLOSURE_TYPES)}")
+        object.__setattr__(self, "type", name)
+        kind = self.kind
+        for key, is_allowed in (("axis", kind.axis is not None), ("axis_b", kind.has_two_axes)):
+            if (axis := getattr(self, key)) is not None:
+                if not is_allowed:
+                    raise InvalidValueError(key, list(axis), f"none for a closure of type {name}")
+                object.__setattr__(self, key, _unit_vector(key, axis))
+        if kind.is_distance and not (self.length is not None and _MIN_LENGTH <= self.length <= LENGTH.greatest):
+            raise InvalidValueError("length", self.length, f"the distance of the origins, at least {_MIN_LENGTH:g} m")
+        if self.length is not None and not kind.is_distance:
+            raise InvalidValueError("length", self.length, f"none for a closure of type {name}")
+
+    @property
+    def kind(self) -> ClosureType:
+        """Its row in the table of types."""
+        return CLOSURE_TYPES[self.type]
+
+    @property
+    def name(self) -> str:
+        """Its name in messages: `frame_a-frame_b`."""
+        return f"{self.frame_a}-{self.frame_b}"
+
+    @property
+    def bases(self) -> tuple[Matrix, Matrix] | None:
+        """The axes x, y, z of the type in frames a and b, as columns, shape=(3, 3) each; None if they are the frames'.
+
+        An axis given with the closure turns those of its frame by the least angle.
+        """
+        if self.axis is None and self.axis_b is None:
+            return None
+        first = self.kind.axis or 0
+        second = 1 if self.type == "universal" else first
+        other = self.axis_b or (None if self.type == "universal" else self.axis)
+        return _turned(first, self.axis), _turned(second, other)
+
+
+def _unit_vector(name: str, axis: Axis) -> Axis:
+    vector = finite_array(name, axis, (3,))
+    if not (length := float(np.linalg.norm(vector))) > 0.0:
+        raise InvalidValueError(name, list(axis), "three numbers that are not all zero")
+    x, y, z = (vector if abs(length - 1.0) < _UNIT else vector / length).tolist()
+    return x, y, z
+
+
+def _turned(k: int, axis: Axis | None) -> Matrix:
+    """Return the least rotation that takes a unit vector to an axis, shape=(3, 3)."""
+    if axis is None:
+        return np.eye(3)
+    unit, direction = np.eye(3)[k], np.array(axis)
+    cosine = float(unit @ direction)
+    if cosine <= -1.0 + _UNIT:
+        return np.diag(2.0 * np.eye(3)[(k + 1) % 3] - 1.0)
+    x, y, z = np.cross(unit, direction)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + cosine))
 
 
 @dataclass(frozen=True)
@@ -41,6 +122,7 @@ class ClosuresFile:
 
     path: Path  #: the file
     closures: tuple[LoopClosure, ...] = ()  #: the loop closures
+    couplings: tuple[Coupling, ...] = ()  #: the couplings of joints
     actuated_joints: tuple[str, ...] = ()  #: names of the actuated joints (`name_mot`), in order
     tool_frame: str | None = None  #: frame whose pose, twist and stiffness are those of "the tool", or None
     #: joints whose rates are the platform's independent motions; empty if there are none
@@ -70,11 +152,25 @@ class _Coordinate(Schema):
     range: tuple[Length, Length] | None = None
 
 
+class _Axes(Schema):
+    axis: Axis | None = None
+    axis_b: Axis | None = None
+
+
+class _Coupling(Schema):
+    joint: Name
+    of: dict[Name, float | Annotated[list[float], msgspec.Meta(min_length=1, max_length=MAX_DEGREE)]]
+    offset: float = 0.0
+
+
 class ClosuresSchema(Schema):
     """The keys and value types of a closures file."""
 
     closed_loop: list[tuple[Name, Name]] | None = None
-    type: list[Literal["3d", "3D", "6d", "6D"]] | None = None
+    type: list[Name] | None = None
+    closure_axes: list[_Axes | None] | None = None
+    closure_lengths: list[PositiveLength | None] | None = None
+    couplings: list[_Coupling] | None = None
     name_mot: list[Name] | None = None
     joint_name: list[Name] | None = None
     joint_type: list[Name] | None = None
@@ -104,6 +200,7 @@ def read_closures(path: Path | str) -> ClosuresFile:
     return ClosuresFile(
         path=path,
         closures=closures,
+        couplings=tuple(_coupling(path, k, entry) for k, entry in enumerate(file.couplings or ())),
         actuated_joints=tuple(file.name_mot or [command.joint for command in commands]),
         tool_frame=file.tool_frame,
         motion_coordinates=tuple(file.motion_coordinates or ()),
@@ -120,12 +217,29 @@ def read_closures(path: Path | str) -> ClosuresFile:
 
 def _closures(path: Path, file: ClosuresSchema) -> tuple[LoopClosure, ...]:
     loops = list(_pairs(path, "closed_loop", file.closed_loop, "type", file.type))
-    limits = [None] * len(loops) if file.closure_limits is None else file.closure_limits
-    limited = _pairs(path, "closed_loop", loops, "closure_limits", limits)
-    return tuple(
-        LoopClosure(frame_a, frame_b, "3d" if kind in ("3d", "3D") else "6d", limit and limit.swing_rad)
-        for ((frame_a, frame_b), kind), limit in limited
-    )
+    columns: dict[str, Sequence[Any]] = {}
+    for key in ("closure_limits", "closure_axes", "closure_lengths"):
+        entries = getattr(file, key)
+        columns[key] = [None] * len(loops) if entries is None else entries
+        _pairs(path, "closed_loop", loops, key, columns[key])
+    closures = []
+    for k, (((a, b), kind), limit, axes, length) in enumerate(zip(loops, *columns.values(), strict=True)):
+        try:
+            swing, (axis, axis_b) = limit and limit.swing_rad, (axes.axis, axes.axis_b) if axes else (None, None)
+            closures.append(LoopClosure(a, b, kind, swing, axis, axis_b, length, Origin(path)))
+        except InvalidValueError as error:
+            place = {"type": "type", "length": "closure_lengths"}.get(error.name, "closure_axes")
+            place = f"{place}[{k}]" + (f".{error.name}" if error.name.startswith("axis") else "")
+            raise DescriptionError(path, place, f"expected {error.expected}, not {error.value!r}") from error
+    return tuple(closures)
+
+
+def _coupling(path: Path, index: int, entry: _Coupling) -> Coupling:
+    powers = [(c,) if isinstance(c, float) else tuple(c) for c in entry.of.values()]
+    try:
+        return Coupling(entry.joint, tuple(entry.of), tuple(powers), entry.offset, Origin(path))
+    except InvalidValueError as error:
+        raise DescriptionError(path, f"couplings[{index}]", f"expected {error.expected}") from error
 
 
 def _commands(path: Path, file: ClosuresSchema) -> tuple[Command, ...]:

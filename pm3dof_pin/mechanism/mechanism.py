@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
@@ -23,48 +22,18 @@ from pm3dof_pin.description.coordinates import (
     Coordinate,
     LimitGroup,
     ToolComponent,
-    Unit,
 )
+from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.description.inertia_checks import inertia_problem
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
-from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
-from pm3dof_pin.typing import Array, Indices, Mask, Vector
+from pm3dof_pin.mechanism.loop_kinematics import Anchors, CoupledJoints, LoopKinematics
+from pm3dof_pin.mechanism.single_joint import SingleJoint
+from pm3dof_pin.typing import Indices, Mask, Vector
 
 _MEETING = 1e-9  # m, rad
 _MOST_GROUPS = 31  # with REACH, 32 bits
 _NORM_TOLERANCE = 1e-9
-
-
-@dataclass(frozen=True)
-class _SingleJoint:
-    """A single-DoF joint, prismatic (`translates`) or revolute: the indices of its coordinate in q and rate in v.
-
-    For a continuous joint, q has cosine and sine from that index on.
-    """
-
-    name: str
-    q_index: int
-    v_index: int
-    is_continuous: bool
-    translates: bool
-
-    @property
-    def unit(self) -> Unit:
-        """Unit of its coordinate, "m" or "rad"."""
-        return "m" if self.translates else "rad"
-
-    def coordinate(self, q: Array) -> Array:
-        """Return the joint's coordinate in q, shape=(..., nq) [m, rad]."""
-        first = q[..., self.q_index]
-        return np.asarray(np.arctan2(q[..., self.q_index + 1], first) if self.is_continuous else first)
-
-    def set_coordinate(self, q: Vector, value: float) -> None:
-        """Write the joint's coordinate into q [m, rad]."""
-        if self.is_continuous:
-            q[self.q_index : self.q_index + 2] = np.cos(value), np.sin(value)
-        else:
-            q[self.q_index] = value
 
 
 class Mechanism:
@@ -75,8 +44,9 @@ class Mechanism:
     Args:
         model: tree of bodies and joints; copied.
         closures: loop closures between frames of the model; none for a serial robot.
+        couplings: joints that follow others, exactly.
         actuated_joints: actuated joints, each single-DoF. By default, all single-DoF joints of a mechanism without
-            closures, and none of one with closures.
+            closures, except those that follow others, and none of one with closures.
         tool_frame: the tool's frame; operations that need it raise if it is None.
         motion_coordinates: single-DoF joints whose rates are the platform's independent motions.
         springs: raw spring entries of the description, not yet parsed.
@@ -102,8 +72,8 @@ class Mechanism:
         q_names: name of each entry of q: its joint, or `joint[k]` where a joint has several.
         named_configurations: joint configurations by name, each of shape=(nq,).
         velocity_scale: the characteristic length for every linear entry of v [m/s], 1 for angular ones, shape=(nv,).
-        twist_scale, closure_scale: the same for the entries of a twist, shape=(6,), and of the closure error,
-            shape=(m,).
+        twist_scale, closure_scale: the same for the entries of a twist, shape=(6,), and of the closure error, first of
+            the closures and then of the couplings, shape=(m,).
 
     Raises:
         FrameNotFoundError: a closure or the tool names a frame that the model does not have.
@@ -117,6 +87,7 @@ class Mechanism:
         model: pin.Model,
         closures: Iterable[LoopClosure] = (),
         *,
+        couplings: Iterable[Coupling] = (),
         actuated_joints: Iterable[str] = (),
         tool_frame: str | None = None,
         motion_coordinates: Iterable[str] = (),
@@ -134,6 +105,7 @@ class Mechanism:
         self.model = model.copy()
         self.name: str = model.name
         self.closures = tuple(closures)
+        self.couplings = tuple(couplings)
         self.tool_frame = tool_frame
         self.springs = tuple(springs)
         self.files = files
@@ -142,7 +114,9 @@ class Mechanism:
         translates = _is_translation(self.model)
         self._single_joints = _single_joints(self.model, translates)
 
-        driven = tuple(actuated_joints) or (() if self.closures else tuple(self._single_joints))
+        followers = {coupling.joint for coupling in self.couplings}
+        free = () if self.closures else tuple(name for name in self._single_joints if name not in followers)
+        driven = tuple(actuated_joints) or free
         self.actuated_joints = self._checked_joints(driven, "name_mot")
         self.passive_joints = tuple(name for name in list(model.names)[1:] if name not in set(self.actuated_joints))
         self.motion_coordinates = self._checked_joints(tuple(motion_coordinates), "motion_coordinates")
@@ -160,17 +134,19 @@ class Mechanism:
 
         if tool_frame is not None:
             self._frame_id(tool_frame, f"{self.source}: tool_frame")
-        sizes = [rows.stop - rows.start for rows in self.loop_kinematics.rows]
+        self._check_couplings()
+        angular = self.loop_kinematics.is_angular
         length = self._typical_length() if characteristic_length is None else characteristic_length
         if not (np.isfinite(length) and length > 0.0):
             raise InvalidValueError("characteristic_length", length, "a positive length [m]")
         self.characteristic_length = float(length)
         self.velocity_scale = frozen(np.where(translates, self.characteristic_length, 1.0))
         self.twist_scale = frozen(np.repeat([self.characteristic_length, 1.0], 3))
-        self.closure_scale = frozen(np.concatenate([np.zeros(0), *(self.twist_scale[:size] for size in sizes)]))
+        self.closure_scale = frozen(np.where(np.array(angular, dtype=bool), 1.0, self.characteristic_length))
         self.limit_groups = self._complete_limit_groups(tuple(limit_groups))
         self.tool_motions = tuple(tool_motions) or TOOL_COMPONENTS
         self._description: dict[str, Any] = {
+            "couplings": self.couplings,
             "actuated_joints": self.actuated_joints,
             "tool_frame": tool_frame,
             "motion_coordinates": self.motion_coordinates,
@@ -190,7 +166,8 @@ class Mechanism:
         return (
             f"{type(self).__name__}({self.name}: {self.model.njoints - 1} joints, "
             f"{len(self.actuated_joints)} actuated, "
-            f"{len(self.closures)} closures, tool {self.tool_frame})"
+            f"{len(self.closures)} closures, {f'{len(self.couplings)} couplings, ' if self.couplings else ''}"
+            f"tool {self.tool_frame})"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -219,7 +196,21 @@ class Mechanism:
     @cached_property
     def loop_kinematics(self) -> LoopKinematics:
         """Pinocchio's data, one copy per thread."""
-        return LoopKinematics(self.model, [self._constraint(*loop) for loop in enumerate(self.closures)])
+        couplings = [
+            CoupledJoints(c, self.single_joint(c.joint), tuple(map(self.single_joint, c.joints)))
+            for c in self.couplings
+        ]
+        return LoopKinematics(self.model, [self._anchors(*loop) for loop in enumerate(self.closures)], couplings)
+
+    @property
+    def has_loops(self) -> bool:
+        """Whether it has loop closures or couplings, so that its joints are not independent."""
+        return bool(self.closures or self.couplings)
+
+    @property
+    def constraint_names(self) -> tuple[str, ...]:
+        """Names of the closures, then of the couplings, in the order of :attr:`LoopKinematics.rows`."""
+        return (*(loop.name for loop in self.closures), *(coupling.name for coupling in self.couplings))
 
     @property
     def prototype(self) -> Self:
@@ -273,7 +264,7 @@ class Mechanism:
         index = self.tool_frame_id if name is None else self.frame_id(name)
         return str(self.model.frames[index].name)
 
-    def single_joint(self, name: str) -> _SingleJoint:
+    def single_joint(self, name: str) -> SingleJoint:
         """Return the indices of the coordinate and rate of a single-DoF joint.
 
         Raises:
@@ -325,20 +316,34 @@ class Mechanism:
             free[joint.idx_v : joint.idx_v + joint.nv] = False
         return self.checked_positions(q), np.flatnonzero(free)
 
-    def _constraint(
-        self, index: int, loop: LoopClosure
-    ) -> pin.PointAnchorConstraintModel | pin.FrameAnchorConstraintModel:
+    def _anchors(self, index: int, loop: LoopClosure) -> Anchors:
         element = f"{self.source}: closed_loop[{index}]"
-        frame_a, frame_b = (self.model.frames[self._frame_id(name, element)] for name in (loop.frame_a, loop.frame_b))
-        if frame_a.parentJoint == frame_b.parentJoint and not (self.springs and _meet(frame_a, frame_b, loop.type)):
+        frames = [self.model.frames[self._frame_id(name, element)] for name in (loop.frame_a, loop.frame_b)]
+        turns = [pin.SE3(basis, np.zeros(3)) for basis in loop.bases] if loop.bases else [pin.SE3.Identity()] * 2
+        ends = [(f.parentJoint, f.placement * turn) for f, turn in zip(frames, turns, strict=True)]
+        anchors = Anchors(loop.kind, ends[0], ends[1], loop.length or 0.0)
+        if ends[0][0] == ends[1][0] and not (self.springs and np.abs(anchors.error).max() < _MEETING):
             raise DescriptionError(
                 self.source,
                 f"closed_loop[{index}]",
                 f"'{loop.frame_a}' and '{loop.frame_b}' are on one body, expected frames of two bodies, or coincident "
                 "frames with springs between them",
             )
-        anchor = pin.PointAnchorConstraintModel if loop.type == "3d" else pin.FrameAnchorConstraintModel
-        return anchor(self.model, frame_a.parentJoint, frame_a.placement, frame_b.parentJoint, frame_b.placement)
+        return anchors
+
+    def _check_couplings(self) -> None:
+        for coupling in self.couplings:
+            names = self._checked_joints((coupling.joint, *coupling.joints), "couplings")
+            joints = [self._single_joints[name] for name in names[1:]]
+            for joint, powers in zip(joints, coupling.coefficients, strict=True):
+                is_turn = not self.single_joint(coupling.joint).translates and len(powers) == 1 and powers[0] % 1 == 0
+                if joint.is_continuous and not is_turn:
+                    raise DescriptionError(
+                        self.source,
+                        f"coupling of '{coupling.joint}'",
+                        f"the angle of '{joint.name}' is ambiguous after a turn: expected a ratio that is a whole "
+                        "number, or limits of that joint",
+                    )
 
     def _checked_joints(self, names: tuple[str, ...], element: str) -> tuple[str, ...]:
         for name in names:
@@ -406,13 +411,6 @@ class Mechanism:
         return radius if radius > np.sqrt(np.finfo(float).eps) else 1.0
 
 
-def _meet(frame_a: pin.Frame, frame_b: pin.Frame, kind: str) -> bool:
-    """Return whether two frames of one body satisfy a closure."""
-    apart = frame_a.placement.actInv(frame_b.placement)
-    rows = pin.log6(apart).vector if kind == "6d" else apart.translation
-    return bool(np.abs(rows).max() < _MEETING)
-
-
 def _frame_ids(model: pin.Model) -> dict[str, int]:
     """Index the frames by name; of frames with the same name, a body's wins."""
     ids: dict[str, int] = {}
@@ -422,9 +420,9 @@ def _frame_ids(model: pin.Model) -> dict[str, int]:
     return ids
 
 
-def _single_joints(model: pin.Model, translates: Mask) -> dict[str, _SingleJoint]:
+def _single_joints(model: pin.Model, translates: Mask) -> dict[str, SingleJoint]:
     return {
-        model.names[index]: _SingleJoint(
+        model.names[index]: SingleJoint(
             model.names[index], joint.idx_q, joint.idx_v, joint.nq == 2, bool(translates[joint.idx_v])
         )
         for index, joint in enumerate(model.joints)

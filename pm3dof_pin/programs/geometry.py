@@ -31,6 +31,8 @@ _CONSTANTS = (0.0, 1.0, -1.0)
 
 def structure(mechanism: Mechanism) -> str:
     """Describe what programs depend on besides geometry: joints, their order and types, closures, tool, limits."""
+    if mechanism.couplings or any(loop.type not in ("3d", "6d") for loop in mechanism.closures):
+        raise ProgramError(f"{mechanism.name}: programs do not support its closures or couplings")
     model = mechanism.model
     joints = [
         f"{model.names[index]}:{_kind(model.joints[index])}:{model.parents[index]}" for index in range(1, model.njoints)

@@ -114,7 +114,11 @@ def test_a_robot_without_loops_is_a_robot(tmp_path: Path) -> None:
         ("closed_loop: [[a, b], [c, d]]\ntype: ['3d']\n", "type", "one entry for each of the 2 entries of closed_loop"),
         ("closed_loop: [[a, b, c]]\ntype: ['3d']\n", "closed_loop[0]", "expected a list of length 2"),
         ("closed_loop: [[a, 1]]\ntype: ['3d']\n", "closed_loop[0][1]", "expected text, not 1"),
-        ("closed_loop: [[a, b]]\ntype: ['2d']\n", "type[0]", "expected one of 3d, 3D, 6d, 6D, not '2d'"),
+        (
+            "closed_loop: [[a, b]]\ntype: ['2d']\n",
+            "type[0]",
+            "expected one of 3d, 6d, hinge, universal, prismatic, cylindrical, planar, distance, not '2d'",
+        ),
         (TWO_LOOPS + "closure_limits: [null]\n", "closure_limits", "one entry for each of the 2 entries"),
         (TWO_LOOPS + "closure_limits: [0.5, null]\n", "closure_limits[0]", "expected a mapping, not 0.5"),
         (TWO_LOOPS + "closure_limits: [{swing: 1}, null]\n", "closure_limits[0].swing", "expected some of swing_rad"),
