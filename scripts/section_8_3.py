@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import pm3dof_pin as pm
-from pm3dof_pin.calibration.calibrate import METHODS, Options
+from pm3dof_pin.calibration.fit import METHODS, Options
 from pm3dof_pin.calibration.planning import STRATEGY_OF_METHOD
 from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.pose_error import energy, pose_difference, tip_error

@@ -160,22 +160,21 @@ def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Omit the pictures of a calibration report and most poses of its maps, which take half of its time."""
     from matplotlib.figure import Figure
 
-    from pm3dof_pin.calibration import workspace_errors
-    from pm3dof_pin.figures import calibration, calibration_report
+    from pm3dof_pin.calibration import calibrate, report
 
     names = ("tip_error_validation", "tip_error_held_out", "residuals", "workspace", "parameters")
-    monkeypatch.setattr(calibration, "calibration_pictures", lambda *_, **__: dict.fromkeys(names, Figure()))
-    monkeypatch.setattr(calibration_report, "_image", lambda figure, text: f"<p>{text}</p>")
-    monkeypatch.setattr(workspace_errors, "workspace_errors", partial(workspace_errors.workspace_errors, points=7))
+    monkeypatch.setattr(calibrate, "calibration_pictures", lambda *_, **__: dict.fromkeys(names, Figure()))
+    monkeypatch.setattr(report, "_image", lambda figure, text: f"<p>{text}</p>")
+    monkeypatch.setattr(calibrate, "workspace_errors", partial(calibrate.workspace_errors, points=7))
 
 
 @pytest.fixture(scope="module")
 def few_folds() -> Iterator[None]:
     """Hide measurements by thirds instead of fifths where how good a calibration is, is not the question."""
-    from pm3dof_pin.calibration import judging
+    from pm3dof_pin.calibration import held_out
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(judging, "_FOLDS", 3)
+        patch.setattr(held_out, "_FOLDS", 3)
         yield
 
 

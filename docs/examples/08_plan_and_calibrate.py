@@ -8,7 +8,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import pm3dof_pin as pm
-from pm3dof_pin.calibration.calibrate import Options
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.figures.style import ONE_COLUMN, house_style, save_figure
 from pm3dof_pin.simulation.worlds import World
@@ -20,11 +19,11 @@ machine = World.random("geometry", errors, generator)
 problem = pm.PlanningProblem(errors, pm.reachable_poses(robot, 300, generator))
 plan = problem.plan(30, "d-optimal", generator, restarts=2)
 measurements = machine.measure(plan.poses.commands, generator)
-compensation = pm.calibrate(measurements, errors, Options("lm")).compensation
+calibration = pm.calibrate(measurements, errors, "lm")
 
 wanted = pm.reachable_poses(robot, 60, generator)
 uncorrected = machine.poses(wanted.commands, {})
-corrected = machine.poses(compensation.compensate(wanted.transforms).commands, {})
+corrected = machine.poses(calibration.compensate(wanted.transforms).commands, {})
 before, after = (1e6 * tip_error(pose_difference(wanted.transforms, real)) for real in (uncorrected, corrected))
 print(f"tip error {np.sqrt(np.mean(before**2)):.0f} µm before, {np.sqrt(np.mean(after**2)):.0f} µm after, rms")
 

@@ -1,248 +1,228 @@
-"""Calibration from measurements, by one of five methods: identification first, then learning."""
+"""Calibration from measurements to corrected commands: fit, evaluation, refusal of what would do harm, report."""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Any, Literal
 
-import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import require_kind
-from pm3dof_pin.calibration.caution import Gain, cautious
-from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.identification import PRIOR, Identification, identify, prior_from_data
-from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_model
-from pm3dof_pin.calibration.linearisation import Loss
-from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
-from pm3dof_pin.calibration.scatter import Scatter
-from pm3dof_pin.errors.command_correction import weighted_control
+from pm3dof_pin.calibration.compensation import Compensated, Conditions
+from pm3dof_pin.calibration.expectation import Expectation
+from pm3dof_pin.calibration.fit import Fit, Method, fit
+from pm3dof_pin.calibration.fit import Options as Options
+from pm3dof_pin.calibration.folder import summary_of, write_calibration
+from pm3dof_pin.calibration.held_out import HeldOut, held_out_errors, validated_errors
+from pm3dof_pin.calibration.identification import PRIOR
+from pm3dof_pin.calibration.pictures import calibration_pictures
+from pm3dof_pin.calibration.refusals import STRAIN, doubts, likeliest_cause, refusals, strain
+from pm3dof_pin.calibration.report import report_as_html
+from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors, workspace_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import TIP_LENGTH
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.exceptions import (
+    CalibrationRefusedError,
+    ConvergenceError,
+    InvalidValueError,
+    SingularConfigurationError,
+    UnreachablePoseError,
+)
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.measurement_file import TARGET_POINT_SIGMA, read_measurements
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.typing import OnFailure
 
 logger = logging.getLogger(__name__)
 
-Method = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
-METHODS: tuple[Method, ...] = get_args(Method)
-
-LEAST_POSES = 4
-"""Fewest measurements to learn from."""
-
-SMOOTH = 1.5
-"""Noise factor from which the remaining errors are taken to vary smoothly over the poses instead of scattering."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of a calibration."""
-
-    #: "lm" (parameters, least squares), "nn" (neural network), "gp" (Gaussian process), or both
-    method: Method = "lm+gp"
-    seed: int = 0  #: random seed of networks and folds
-    eta: float = TIP_LENGTH  #: weight of the orientation in the tip error [m/rad]
-    #: prior standard deviation of the parameters, in units of their tolerances; None for the value, from 1 to 3, under
-    #: which the measurements are most likely
-    prior: float | None = None
-    loss: Loss = "tukey"  #: loss of the identification
-
-    def __post_init__(self) -> None:
-        """Check the method."""
-        if self.method not in METHODS:
-            raise InvalidValueError("method", self.method, f"one of {', '.join(METHODS)}")
-
-    @property
-    def identifies(self) -> bool:
-        """Whether the method identifies parameters."""
-        return "lm" in self.method
-
-    @property
-    def learns(self) -> bool:
-        """Whether the method learns a correction."""
-        return self.method != "lm"
+_WITHIN = 0.5  # least fraction of the validation poses within their bounds
+_LISTED = 10  # parameters named in a warning
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
-    """A calibrated machine."""
+class Calibration(Fit):
+    """A calibrated machine: what was fitted, how good it is, and what speaks against it."""
 
-    options: Options  #: options used, with the prior that was chosen
-    measurements: Measurements  #: the measurements
-    #: identified parameters; for methods without parameters, used only to find outliers
-    identification: Identification
-    compensation: Compensation  #: corrects the commands
+    held_out: HeldOut | None = None  #: cross-validation; None with too few poses
+    validation: HeldOut | None = None  #: errors of separate measurements; None without any
+    refusals: tuple[str, ...] = ()  #: why the calibration is refused, the likeliest cause last; none if it is accepted
 
     @cached_property
-    def gain(self) -> Gain | None:
-        """Gain of the corrections over the measured commands; None for a method without parameters."""
-        if not self.options.identifies:
-            return None
-        whole = Compensation.of(self.identification, self.options.eta)
-        return Gain.of(whole, self.measurements.visits.commands)
+    def expectation(self) -> Expectation:
+        """What to expect of the machine, what was not seen, and what to do next."""
+        return Expectation.from_fit(self, self.held_out, self.validation)
 
-    @property
-    def chance_of_harm(self) -> float:
-        """Probability that corrected commands are worse than uncorrected ones, given the identified parameters.
+    @cached_property
+    def workspace_errors(self) -> WorkspaceErrors | None:
+        """Tip errors before and after over two coordinates; None without two coordinates that have ranges."""
+        return workspace_errors(self)
 
-        See :mod:`pm3dof_pin.calibration.caution`. 0 for a method without parameters.
+    def pictures(self) -> dict[str, Figure]:
+        """Draw the pictures of the report, by file name."""
+        return calibration_pictures(self, self.held_out, self.workspace_errors, validation=self.validation)
+
+    def report(self) -> str:
+        """Return the report as one HTML page that holds its pictures; equal calibrations give equal bytes."""
+        return report_as_html(
+            self,
+            self.summary()["robot"],
+            self.pictures(),
+            self.held_out,
+            self.validation,
+            self.workspace_errors,
+            self.refusals,
+            self.expectation,
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Return method and results as plain data, as in calibration.yaml; keys end in their unit."""
+        return summary_of(self, self.held_out, self.validation, self.refusals, self.expectation)
+
+    def save(self, directory: Path | str) -> Path:
+        """Write summary, report, measurements, compensation and calibrated robot to a folder, and return the folder.
+
+        The folder is replaced as a whole or not at all; see :mod:`pm3dof_pin.calibration.folder`.
+
+        Raises:
+            DescriptionError: the robot was not read from files.
+            OutputError: the folder cannot be written, or it contains something other than a calibration.
         """
-        values = self.compensation.values
-        return 0.0 if self.gain is None or values is None else self.gain.chance_of_harm(values)
+        return write_calibration(self, directory, self.summary(), self.report())
 
-    @property
-    def part_corrected(self) -> float:
-        """Fraction of the parameters' correction that is certain enough to be applied; 1 for all of it."""
-        values = self.compensation.values
-        return 1.0 if self.gain is None or values is None else self.gain.part(values)
+    def compensate(
+        self,
+        wanted: Poses | ArrayLike,
+        conditions: Conditions | None = None,
+        *,
+        on_failure: OnFailure = "raise",
+    ) -> Compensated:
+        """Return the commands for desired poses of the tool.
 
-    @property
-    def scatters(self) -> bool:
-        """Whether the remaining errors scatter from pose to pose: the noise factor is below :data:`SMOOTH`."""
-        return self.identification.noise_factor < SMOOTH
-
-    def tip_interval(self, wanted: Poses) -> tuple[float, float] | None:
-        """Return :meth:`~pm3dof_pin.calibration.compensation.Compensation.rms_interval` if it :attr:`scatters`."""
-        return self.compensation.rms_interval(wanted) if self.scatters else None
-
-    @property
-    def can_be_judged(self) -> bool:
-        """Whether there are enough poses for a cross-validation, with enough to learn from in each fold."""
-        return int(self.measurements[self.identification.trusted].pose_numbers.max(initial=-1)) > LEAST_POSES
-
-    def with_scatter(self, scatter: Scatter) -> Calibration:
-        """Return the calibration with the error scatter found by a cross-validation."""
-        return replace(self, compensation=replace(self.compensation, scatter=scatter))
+        See :meth:`Compensation.compensate <pm3dof_pin.calibration.compensation.Compensation.compensate>`.
+        """
+        return self.compensation.compensate(wanted, conditions, on_failure=on_failure)
 
 
-def calibrate(measurements: Measurements, errors: GeometricErrors, options: Options | None = None) -> Calibration:
-    """Calibrate a machine.
+def calibrate(
+    measurements: Measurements | Path | str,
+    errors: GeometricErrors | Robot | Path | str,
+    options: Options | Method | None = None,
+    *,
+    validation: Measurements | Path | str | None = None,
+    on_refusal: Literal["raise", "keep"] = "raise",
+    own_frame: bool = False,
+    target_sigma: float = TARGET_POINT_SIGMA,
+    tool_point_sigma: float = 0.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Calibration:
+    """Calibrate a machine from measurements, judge the result, and refuse one that would be wrong for the machine.
 
-    Measurements that the identification rejects as outliers are not used for learning either.
+    Parameters are identified and a correction learned (:func:`~pm3dof_pin.calibration.fit.fit`), then evaluated on
+    measured poses held out in turn. Error parameters with which the loops cannot close are left out.
 
     Example:
         >>> import numpy as np
         >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.calibration.calibrate import Options
         >>> errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
         >>> machine = pm.SimulatedMachine.random(errors, generator, everything=False)
         >>> commands = pm.reachable_poses(errors.robot, 40, generator).commands
         >>> measurements = pm.Measurements.of_poses(commands, machine.measure(commands, generator))
-        >>> calibration = pm.calibrate(measurements, errors, Options(method="lm"))
+        >>> calibration = pm.calibrate(measurements, errors, "lm")
+        >>> calibration.refusals
+        ()
         >>> calibration.identification.values.shape
         (40,)
 
     Args:
-        measurements: poses, positions or points.
-        errors: the parameters, with their tolerances.
-        options: method and settings.
+        measurements: poses, positions or points; or a file of them.
+        errors: the error parameters with their tolerances, or a robot with those of its error file.
+        options: method and settings; or the method alone.
+        validation: separate measurements, or a file, to evaluate the calibration on; they are not fitted.
+        on_refusal: "raise", or "keep" to return a refused calibration with its :attr:`~Calibration.refusals`.
+        own_frame: for files: whether the instrument measured in its own frame.
+        target_sigma: for files: standard deviation of the target positions, per coordinate [m]; 0 if known exactly.
+        tool_point_sigma: for files: the same for the tool point, if that is the point seen [m].
+        progress: called with the number of steps done and the total.
 
     Raises:
-        InvalidValueError: too few measurements, or measurements of another frame or machine.
-        ConvergenceError: the parameters did not converge.
-        SingularConfigurationError: at some command the tool can move with all drives locked.
+        CalibrationRefusedError: the calibration is refused; or there can be none, whatever `on_refusal` is.
+        MeasurementError: a file is unreadable or cannot be true.
+        InvalidValueError: an argument of another kind.
     """
-    require_kind("measurements", measurements, Measurements, "pm.read_measurements")
-    require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
-    options = options or Options()
-    prior = PRIOR if options.prior is None else options.prior
-    identification = identify(measurements, errors, prior=prior, loss=options.loss)
-    if options.prior is None:
-        prior, error = prior_from_data(identification)
-        shown, start = identification.measurements, identification
-        identification = identify(shown, errors, prior=prior, prior_error=error, loss=options.loss, start=start)
-    options = replace(options, prior=identification.prior)
-    _warn_of_gaps(identification)
-    shown = identification.settled[identification.trusted]
-    _warn_of_unseen_motions(shown, errors.robot.forward(shown.visits.commands), options)
-    compensation = compensation_from(shown, errors, options, identification if options.identifies else None)
-    if options.identifies:
-        shown = compensation.without_loads(shown)
-    compensation = replace(compensation, scatter=_scatter(compensation, shown, identification))
-    return Calibration(options, identification.measurements, identification, compensation)
+    options = Options(options) if isinstance(options, str) else options or Options()
+    if on_refusal not in ("raise", "keep"):
+        raise InvalidValueError("on_refusal", on_refusal, "raise or keep")
+    errors, warnings = _closing(_errors_of(errors))
 
+    def read(each: Measurements | Path | str, name: str) -> Measurements:
+        if isinstance(each, (str, Path)):
+            return read_measurements(
+                each, errors.robot, own_frame=own_frame, target_sigma=target_sigma, tool_point_sigma=tool_point_sigma
+            )
+        require_kind(name, each, Measurements, "pm.read_measurements")
+        return each
 
-def _scatter(compensation: Compensation, shown: Measurements, identification: Identification) -> Scatter:
-    """Return the noise-free scatter that remains in the calibration measurements.
-
-    In the directions that drives correct, the learned part states its own uncertainty.
-    """
-    visits = shown.visits
-    nominal = compensation.errors.robot.forward(visits.commands)
-    model = compensation.model_poses(nominal)
-    found, control = pseudo_errors(shown, model, compensation.eta), weighted_control(model, compensation.eta)
-    units = [command.unit for command in nominal.robot.commands]
-    if compensation.learned is not None:
-        across = found.seen.shown - found.control @ control_inverse(found.control)
-        covariances = across @ found.seen.covariances @ np.swapaxes(across, 1, 2)
-        return Scatter.of(found.left, covariances, across, np.zeros_like(control), units)
-    used = float(len(identification.errors)) if compensation.values is not None else 0.0
-    freedom = max(0.2, 1.0 - used / max(1.0, float(np.einsum("nii->", found.seen.shown))))
-    seen = found.at_commands
-    return Scatter.of(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control, units)
-
-
-def compensation_from(
-    measurements: Measurements,
-    errors: GeometricErrors,
-    options: Options,
-    identification: Identification | None,
-) -> Compensation:
-    """Combine identified parameters (None for the robot as described) with a part learned from measurements.
-
-    The parameters' correction is reduced to what is certain enough: see :mod:`pm3dof_pin.calibration.caution`.
-
-    Raises:
-        InvalidValueError: too few measurements to learn from.
-    """
-    compensation = Compensation(errors, eta=options.eta)
-    if identification is not None:
-        whole = Compensation.of(identification, options.eta)
-        compensation = cautious(whole, measurements.visits.commands)
-        measurements = compensation.without_loads(measurements)
-    if not options.learns:
-        return compensation
-    visits = measurements.visits
-    if len(visits) < LEAST_POSES:
-        expected = f"at least {LEAST_POSES} to learn a pseudo-error from"
-        raise InvalidValueError("measurements", f"{len(visits)} poses", expected)
-    nominal = errors.robot.forward(visits.commands)
-    found = pseudo_errors(measurements, compensation.model_poses(nominal), options.eta)
-    scale = InputScale.of(nominal.robot, visits)
-    inputs = scale.scaled(visits.commands, visits.conditions)
-    variances = np.einsum("nii->ni", found.covariances)
-    model = fitted_model(options.method, inputs, found.deviations, variances, options.seed)
-    return replace(compensation, learned=LearnedPart(model, scale))
-
-
-def _warn_of_unseen_motions(measurements: Measurements, nominal: Poses, options: Options) -> None:
+    seen = read(measurements, "measurements")
+    others = None if validation is None else read(validation, "validation")
+    report_progress = progress or (lambda done, of: None)
     try:
-        found = pseudo_errors(measurements, nominal, options.eta)
-    except UnreachablePoseError as error:
-        problem = "not reachable by any commands"
-        raise InvalidValueError("poses measured", problem, "poses near the commanded ones") from error
-    seen, drives = int(np.linalg.matrix_rank(control_inverse(found.control)).max()), found.control.shape[2]
-    if seen < drives and not measurements.joints:  # encoders show more, but of the tool only by the model
-        advice = "" if measurements.measured == "pose" else ": measure poses, or targets away from the tool point"
-        logger.warning("each measurement shows %d of the %d motions of the drives%s", seen, drives, advice)
-    if options.learns and measurements.points.any():
-        logger.warning("a single target does not show full poses, so a learned correction is poor; use method lm")
+        fitted = fit(seen, errors, options)
+        report_progress(1, 4)
+        held_out = held_out_errors(fitted) if fitted.can_be_judged else None
+        if held_out is not None:
+            fitted = fitted.with_scatter(held_out.scatter)
+        against = refusals(fitted, held_out)
+    except (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError) as error:
+        raise CalibrationRefusedError([str(error), *likeliest_cause(seen, errors, options.eta)]) from error
+    report_progress(2, 4)
+    if against:
+        against += likeliest_cause(seen, errors, options.eta, 1.0 if strain(fitted) > STRAIN else PRIOR)
+        if on_refusal == "raise":
+            raise CalibrationRefusedError(against)
+    further = [] if against else list(doubts(fitted, seen))
+    judged = None
+    if others is not None:
+        judged = validated_errors(fitted, others)
+        further += judged.notes
+        if judged.within < _WITHIN:
+            further.append(
+                f"{100.0 * judged.within:.0f} % of the poses of {_name_of(validation)} are within their 95 % bounds: "
+                "they may be from another machine or another state of it"
+            )
+    for warning in further:
+        logger.warning("%s", warning)
+    report_progress(3, 4)
+    parts = {part.name: getattr(fitted, part.name) for part in fields(fitted)}
+    parts["warnings"] = (*seen.warnings, *warnings, *fitted.warnings, *further)
+    return Calibration(**parts, held_out=held_out, validation=judged, refusals=tuple(against))
 
 
-def _warn_of_gaps(identification: Identification) -> None:
-    names = identification.errors.names
-    equations = int(identification.measurements.seen.sum())
-    if equations < len(names):
-        logger.warning(
-            "%d measurements give %d equations for %d parameters, too few: %d combinations are identified, the rest "
-            "stay near their nominal values, within the tolerances",
-            len(identification.measurements),
-            equations,
-            len(names),
-            identification.identifiability.rank,
-        )
-    if identification.outliers:
-        lines = ", ".join(map(str, identification.outlier_lines))
-        logger.warning("outliers, not used for learning: lines %s", lines)
+def _errors_of(errors: GeometricErrors | Robot | Path | str) -> GeometricErrors:
+    if isinstance(errors, (str, Path)):
+        return GeometricErrors.load(errors)
+    if isinstance(errors, Robot):
+        return GeometricErrors(errors) if errors.files is None else GeometricErrors.of(errors, errors.files.errors)
+    require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
+    return errors
+
+
+def _closing(errors: GeometricErrors) -> tuple[GeometricErrors, list[str]]:
+    """Return the errors with which the loops can close, and a warning that names the others."""
+    fitting = closable(errors)
+    dropped = [name for name in errors.names if name not in fitting.names]
+    if not dropped:
+        return errors, []
+    some = ", ".join(dropped[:_LISTED]) + (" ..." if len(dropped) > _LISTED else "")
+    warning = f"{len(dropped)} parameters are left out because the loops cannot close with them: {some}"
+    logger.warning("%s", warning)
+    return fitting, [warning]
+
+
+def _name_of(validation: Measurements | Path | str | None) -> str:
+    return "the validation" if isinstance(validation, Measurements) else str(validation)

@@ -50,7 +50,6 @@ def calibrated_urdf(errors: GeometricErrors, values: ArrayLike | Mapping[str, fl
 def write_calibrated_robot(
     errors: GeometricErrors,
     values: ArrayLike | Mapping[str, float],
-    robot: str | Path,
     directory: Path | str,
     stiffness: Mapping[str, float] | None = None,
 ) -> Path:
@@ -61,11 +60,10 @@ def write_calibrated_robot(
     described.
 
     Raises:
-        UnknownRobotError: no such robot.
-        DescriptionError: see :func:`calibrated_urdf`.
+        DescriptionError: see :func:`calibrated_urdf`, or the robot was not read from files.
         OutputError: a file cannot be written.
     """
-    files, folder = as_urdf(Robot.load(robot)), Path(directory)
+    files, folder = as_urdf(errors.robot), Path(directory)
     target = write_text_atomically(folder / files.urdf.name, calibrated_urdf(errors, values, files.urdf))
     for source in filter(None, (files.closures, files.srdf, files.errors if files.errors.is_file() else None)):
         write_text_atomically(folder / source.name, source.read_text(encoding="utf-8"))

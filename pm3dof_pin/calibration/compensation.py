@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import frozen, real_array
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.learned_part import LearnedPart
-from pm3dof_pin.calibration.rms_interval import COVERAGE, rms_interval
-from pm3dof_pin.calibration.scatter import Scatter
+from pm3dof_pin.calibration.scatter import COVERAGE, Scatter, rms_interval
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses, weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -317,7 +316,7 @@ class Compensation:
         """Return an interval of the tip error with corrected commands [m], root mean square over poses, unloaded.
 
         Its probability is :data:`COVERAGE`; None for a learning method. See
-        :mod:`pm3dof_pin.calibration.rms_interval`.
+        :mod:`pm3dof_pin.calibration.scatter`.
         """
         if self.learned is not None:
             return None

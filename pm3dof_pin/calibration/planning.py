@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import require_kind
-from pm3dof_pin.calibration.calibrate import Method
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
+from pm3dof_pin.calibration.fit import Method
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.identifiability import (
     Identifiability,

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import LEAST_POSES, Method
+from pm3dof_pin.calibration.fit import MIN_POSES, Method
 from pm3dof_pin.calibration.learned_part import fitted_model
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.calibration.pseudo_error import control_inverse
@@ -60,8 +60,8 @@ class Rehearsal:
             InvalidValueError: too few poses to learn from.
         """
         indices = np.asarray(chosen, dtype=np.intp)
-        if method != "lm" and len(indices) < LEAST_POSES:
-            raise InvalidValueError("poses", len(indices), f"at least {LEAST_POSES} to learn from")
+        if method != "lm" and len(indices) < MIN_POSES:
+            raise InvalidValueError("poses", len(indices), f"at least {MIN_POSES} to learn from")
         squares = []
         for measured, best in self._machines:
             found = self._answer(indices, method, measured[indices], seed)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import Calibration
+from pm3dof_pin.calibration.fit import Fit
 from pm3dof_pin.errors.command_correction import nearest_poses
 from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
@@ -40,7 +40,7 @@ class WorkspaceErrors:
     within: Callable[[Array], Mask] | None = None
 
 
-def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErrors | None:
+def workspace_errors(calibration: Fit, points: int = 41) -> WorkspaceErrors | None:
     """Compute errors over the first two coordinates with ranges, at mean measured conditions; None without two."""
     compensation = calibration.compensation
     robot = compensation.errors.robot

@@ -10,18 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
-from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.options import Json, RobotErrorsOptions
 from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import PictureFormat, save
 
 if TYPE_CHECKING:
     from pm3dof_pin.calibration.calibrate import Calibration
-    from pm3dof_pin.measuring.measurements import Measurements
 
 
 _ROOMS = ("pm3dof_pin.measuring", "pm3dof_pin.calibration")
-_FEW = 0.5  # fraction of the validation poses within their bounds
 
 
 MethodName: TypeAlias = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
@@ -79,57 +76,29 @@ def calibrate(
 ) -> None:
     """Calibrate a machine from measurements: parameters, corrections, a calibrated URDF and a report."""
     from pm3dof_pin.calibration.calibrate import Options
-    from pm3dof_pin.calibration.judging import validated_errors
-    from pm3dof_pin.calibration.objections import calibrate_and_object
-    from pm3dof_pin.calibration.results import REPORT, summary_of, write_calibration
-    from pm3dof_pin.calibration.verdict import verdict
-    from pm3dof_pin.calibration.workspace_errors import workspace_errors
-    from pm3dof_pin.description.robots import find_robot
-    from pm3dof_pin.exceptions import CalibrationRefusedError
-    from pm3dof_pin.figures.calibration import calibration_pictures
-    from pm3dof_pin.figures.calibration_report import report_as_html
-    from pm3dof_pin.measuring.measurement_file import read_measurements
+    from pm3dof_pin.calibration.calibrate import calibrate as calibrate_machine
+    from pm3dof_pin.calibration.folder import REPORT
 
-    def read(path: Path) -> Measurements:
-        sigma = target_sigma if target_offsets == "estimate" else 0.0
-        return read_measurements(
-            path, errors.robot, own_frame=own_frame, target_sigma=sigma, tool_point_sigma=tool_point_sigma
+    with _warnings_as_messages(), progress_bar("calibrating") as progress:
+        calibration = calibrate_machine(
+            file,
+            which.load_errors(),
+            Options(method, seed, eta, prior, loss),
+            validation=validation,
+            on_refusal="keep" if force else "raise",
+            own_frame=own_frame,
+            target_sigma=target_sigma if target_offsets == "estimate" else 0.0,
+            tool_point_sigma=tool_point_sigma,
+            progress=lambda done, of: progress(done, of + 1),
         )
-
-    with _warnings_as_messages():
-        errors = closing_errors(which.load_errors())
-        measurements = read(file)
-        others = None if validation is None else read(validation)
-        options = Options(method, seed, eta, prior, loss)
-        with progress_bar("calibrating") as progress:
-            calibration, held_out, reasons = calibrate_and_object(
-                measurements, errors, options, lambda done, _: progress(done, 4)
-            )
-            if reasons and not force:
-                raise CalibrationRefusedError(reasons)
-            on_others = None if others is None else validated_errors(calibration, others)
-            if on_others is not None and on_others.within < _FEW:
-                message(
-                    f"pm3dof: warning: {100.0 * on_others.within:.0f} % of the poses of {validation} are within their "
-                    "95 % bounds: they may be from another machine or another state of it"
-                )
-            maps = workspace_errors(calibration)
-            progress(3, 4)
-            name = find_robot(which.robot).name
-            judgement = verdict(calibration, held_out, on_others)
-            more: Any = {"validation": on_others, "objections": reasons, "judgement": judgement}
-            pictures = calibration_pictures(calibration, held_out, maps, validation=on_others)
-            report = report_as_html(calibration, name, held_out, maps, pictures=pictures, **more)
-            folder = write_calibration(
-                calibration, which.robot, out, held_out, report, errors_file=which.errors, **more
-            )
-            if formats:
-                for picture, figure in pictures.items():
-                    save(figure, folder / f"{picture}.png", formats)
-            progress(4, 4)
-    summary = summary_of(calibration, name, held_out, **more)
-    for reason in reasons:
+        folder = calibration.save(out)
+        if formats:
+            for picture, figure in calibration.pictures().items():
+                save(figure, folder / f"{picture}.png", formats)
+        progress(1, 1)
+    for reason in calibration.refusals:
         message(f"pm3dof: forced despite: {reason}")
+    summary = calibration.summary()
     print_result({"directory": str(folder)} | summary, _lines(summary, calibration), as_json=as_json)
     message(f"wrote {folder}, report in {folder / REPORT}")
 

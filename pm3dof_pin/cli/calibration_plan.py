@@ -16,7 +16,7 @@ from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
 
 if TYPE_CHECKING:
-    from pm3dof_pin.calibration.calibrate import Method
+    from pm3dof_pin.calibration.fit import Method
     from pm3dof_pin.calibration.planning import Plan, PlanningProblem, Strategy
 
 SEEDS = range(10)
@@ -195,14 +195,14 @@ def _rehearsed(
     """Return the excess tip error over the best commands, by number of poses [m], until one is accurate enough."""
     import numpy as np
 
-    from pm3dof_pin.calibration.calibrate import LEAST_POSES
+    from pm3dof_pin.calibration.fit import MIN_POSES
     from pm3dof_pin.calibration.rehearsal import Rehearsal
     from pm3dof_pin.exceptions import InvalidValueError
 
     rehearsal = Rehearsal(problem, np.random.default_rng(seed))
     tried: dict[int, float] = {}
     for count in [poses or _DEFAULT_POSES] if accuracy is None else _TRIED:
-        if method != "lm" and count < LEAST_POSES:
+        if method != "lm" and count < MIN_POSES:
             break
         try:
             plan = problem.plan(count, strategy, np.random.default_rng(seed), restarts=1)
@@ -238,7 +238,7 @@ def _draw(problem: PlanningProblem, minimum: int, path: Path, formats: list[Pict
     from pm3dof_pin.figures.plan_accuracy import plan_accuracy
     from pm3dof_pin.figures.style import save_figure
 
-    curves = {name: problem.accuracy_curve(COUNTS, name, _seeds(name)) for name in STRATEGIES}
+    curves: dict[str, Any] = {name: problem.accuracy_curve(COUNTS, name, _seeds(name)) for name in STRATEGIES}
     figure = plan_accuracy(COUNTS, curves, minimum)
     return save(figure, path, formats) if formats else [save_figure(figure, path)]
 

@@ -57,7 +57,7 @@ def compensate(
     Differences are motions of the drives. A pose that breaks a joint limit is still computed, with a message and exit
     status 1.
     """
-    from pm3dof_pin.calibration.results import read_compensation
+    from pm3dof_pin.calibration.folder import read_compensation
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 

@@ -74,9 +74,10 @@ class GeometricErrors:
             :mod:`pm3dof_pin.calibration.identifiability` finds them.
         fixed_bearings: coordinate of each actuated joint at the fixed bearing of its screw, from which it expands
             as it warms up, shape=(number of actuated joints,) [m, rad]; 0 by default.
+        file: the error file that declares them, if any.
 
     Attributes:
-        robot, fixed_bearings: see the arguments.
+        robot, fixed_bearings, file: see the arguments.
         parameters: the parameters, in the order of p; their `names`.
         tolerances: of the parameters, shape=(number of parameters,) [m, rad].
 
@@ -91,11 +92,13 @@ class GeometricErrors:
         parameters: Iterable[GeometricParameter] | None = None,
         *,
         fixed_bearings: ArrayLike | None = None,
+        file: Path | None = None,
     ) -> None:
         require_kind("robot", robot, Robot, "pm.load")
         self.robot = robot
         self.parameters = tuple(all_parameters(robot) if parameters is None else parameters)
         self.names = tuple(parameter.name for parameter in self.parameters)
+        self.file = file
         self._index = {name: index for index, name in enumerate(self.names)}
         _check(self.parameters)
         self.tolerances = frozen(np.array([parameter.tolerance for parameter in self.parameters], dtype=float))
@@ -135,7 +138,7 @@ class GeometricErrors:
         if not file.is_file():
             return cls(robot)
         declared = read_error_file(file)
-        return cls(robot, _parameters_of(robot, declared), fixed_bearings=_fixed_bearings(robot, declared))
+        return cls(robot, _parameters_of(robot, declared), fixed_bearings=_fixed_bearings(robot, declared), file=file)
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -146,7 +149,10 @@ class GeometricErrors:
 
     def __reduce__(self) -> tuple[object, ...]:
         bearings = np.array(self.fixed_bearings)
-        return functools.partial(GeometricErrors, fixed_bearings=bearings), (self.robot, self.parameters)
+        return functools.partial(GeometricErrors, fixed_bearings=bearings, file=self.file), (
+            self.robot,
+            self.parameters,
+        )
 
     @functools.cached_property
     def groups(self) -> tuple[str, ...]:
@@ -181,7 +187,7 @@ class GeometricErrors:
             InvalidValueError: there is no parameter of this name.
         """
         chosen = [self.parameters[self._parameter(name)] for name in names]
-        return GeometricErrors(self.robot, chosen, fixed_bearings=self.fixed_bearings)
+        return GeometricErrors(self.robot, chosen, fixed_bearings=self.fixed_bearings, file=self.file)
 
     def without(self, names: Iterable[str]) -> GeometricErrors:
         """Return the errors without these parameters; InvalidValueError as for :meth:`select`."""

@@ -9,11 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from pm3dof_pin.calibration.planning import Strategy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.style import ONE_COLUMN, house_style, new_figure
 
-_STRATEGIES: Mapping[Strategy, tuple[str, str]] = {
+_STRATEGIES: Mapping[str, tuple[str, str]] = {
     "d-optimal": ("#0072B2", "D-optimal"),
     "tip-optimal": ("#009E73", "best for the tip"),
     "space-filling": ("#CC79A7", "space-filling"),
@@ -25,7 +24,7 @@ _STRATEGIES: Mapping[Strategy, tuple[str, str]] = {
 
 
 def plan_accuracy(
-    counts: Sequence[int], curves: Mapping[Strategy, NDArray[np.float64]], minimum: int | None = None
+    counts: Sequence[int], curves: Mapping[str, NDArray[np.float64]], minimum: int | None = None
 ) -> Figure:
     """Draw the predicted tip error [m] by strategy over the number of poses: the mean over seeds, and the range.
 

@@ -37,6 +37,9 @@ from pm3dof_pin.measuring.plausibility import (
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, fitted_sphere, register
 from pm3dof_pin.typing import Array, Mask
 
+TARGET_POINT_SIGMA = 1e-3
+"""Default prior standard deviation of a file's target positions, per coordinate [m]."""
+
 DISTANCE_COLUMN, DISTANCE_SIGMA_COLUMN = "distance_m", "sigma_distance_m"
 _ORIGIN_COLUMNS = ("cx_m", "cy_m", "cz_m")
 _SPHERE_COLUMN = "sphere"
@@ -89,7 +92,7 @@ def read_measurements(
     instrument: Instrument | None = None,
     *,
     own_frame: bool = False,
-    target_sigma: float = 0.0,
+    target_sigma: float = TARGET_POINT_SIGMA,
     tool_point_sigma: float = 0.0,
 ) -> Measurements:
     """Read and check a CSV file of measurements.

@@ -16,7 +16,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import numpy as np
 from timing import least_time
 
-from pm3dof_pin.calibration.calibrate import METHODS, Options, calibrate
+from pm3dof_pin.calibration.fit import METHODS, Options, fit
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -40,10 +40,10 @@ def main() -> None:
         print(f"{len(errors)} parameters from {count} poses: {taken:.3f} s", flush=True)
         for method in arguments.methods:
             options = Options(method)
-            taken = least_time(partial(calibrate, measurements, errors, options), tries, time.process_time)
+            taken = least_time(partial(fit, measurements, errors, options), tries, time.process_time)
             most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
             print(f"  calibration by {method}: {taken:.2f} s, up to {most:.0f} MB", flush=True)
-    wanted, compensation = reachable_poses(errors.robot, BATCH, generator), calibrate(measurements, errors).compensation
+    wanted, compensation = reachable_poses(errors.robot, BATCH, generator), fit(measurements, errors).compensation
     middle = {} if compensation.learned is None else compensation.learned.inputs.middle()
     taken = least_time(partial(compensation.compensate, wanted, middle), 2, time.process_time)
     print(f"commands for {BATCH} poses: {taken:.2f} s")

@@ -26,12 +26,11 @@ from machines_apart import Arm, Machine, Rods, Tripod
 from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
-from pm3dof_pin.calibration.calibrate import SMOOTH, Options, calibrate
+from pm3dof_pin.calibration.fit import SMOOTH, Options, fit
+from pm3dof_pin.calibration.held_out import held_out_errors
 from pm3dof_pin.calibration.identification import Identification, identify
-from pm3dof_pin.calibration.judging import held_out_errors
-from pm3dof_pin.calibration.objections import objections
-from pm3dof_pin.calibration.rms_interval import COVERAGE
-from pm3dof_pin.calibration.scatter import Scatter
+from pm3dof_pin.calibration.refusals import refusals
+from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
 from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register
@@ -170,7 +169,7 @@ def one(case: Case, count: int) -> dict[str, object]:
     generator = np.random.default_rng([seed, SETUPS.index(setup), int(10 * richness)])
     poses = pm.reachable_poses(errors.robot, count, generator)
     rows, truly = measured(machine, poses.commands, setup, generator, poses)
-    calibration = calibrate(rows, errors, Options(method))  # type: ignore[arg-type]
+    calibration = fit(rows, errors, Options(method))  # type: ignore[arg-type]
     judged = held_out_errors(calibration)
     calibration = calibration.with_scatter(judged.scatter)
     base, tool = placed(calibration.identification, setup, truly)
@@ -193,7 +192,7 @@ def one(case: Case, count: int) -> dict[str, object]:
         (calibration.tip_interval(tests) or _NOT_SAID, judged.excess_interval or _NOT_SAID),
     )
     return row(case, calibration.identification, compared, judged.scatter) | {
-        "refused": int(bool(objections(calibration, judged)))
+        "refused": int(bool(refusals(calibration, judged)))
     }
 
 

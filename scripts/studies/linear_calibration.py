@@ -18,8 +18,7 @@ from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.identification import PRIOR, Identification, prior_from_data
 from pm3dof_pin.calibration.linearisation import Linearisation, tool_motions_by_drives
 from pm3dof_pin.calibration.pseudo_error import control_inverse, seen_errors
-from pm3dof_pin.calibration.rms_interval import excess_interval, rms_interval
-from pm3dof_pin.calibration.scatter import Scatter
+from pm3dof_pin.calibration.scatter import Scatter, excess_interval, rms_interval
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights

@@ -22,8 +22,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import METHODS, Method, Options, compensation_from
 from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.fit import METHODS, Method, Options, compensation_from
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.planning import PlanningProblem, Strategy
 from pm3dof_pin.errors.command_correction import best_commands, command_jacobians

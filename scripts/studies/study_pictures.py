@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from study import FLOOR, NONE, TESTS, Record, StudyPlan, over_seeds, select
 
-from pm3dof_pin.calibration.calibrate import METHODS
+from pm3dof_pin.calibration.fit import METHODS
 from pm3dof_pin.figures.style import TWO_COLUMNS, house_style, new_figure
 
 # Okabe and Ito's colours

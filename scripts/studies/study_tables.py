@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from study import FLOOR, NONE, TESTS, Record, StudyPlan, over_seeds, select
 
-from pm3dof_pin.calibration.calibrate import METHODS
+from pm3dof_pin.calibration.fit import METHODS
 
 PUBLISHED = (
     ("redundant parallel module, max", 0.192, 0.075, 0.014, "doi 10.1177/0954405420911299; interpolated residuals"),

@@ -25,7 +25,7 @@ def test_the_calibrated_description_is_a_urdf_with_the_errors_in_it(tmp_path: Pa
     path.write_text(CRANK)
     errors = GeometricErrors.load(path)
     values = 100.0 * errors.sample(np.random.default_rng(3))
-    written = Robot.load(write_calibrated_robot(errors, values, path, tmp_path / "calibrated"))
+    written = Robot.load(write_calibrated_robot(errors, values, tmp_path / "calibrated"))
     calibrated, nominal = errors.apply(values), Robot.load(path)
     held = {"motor": 0.4}
     tools = [robot.assemble(robot.home, joints=held).tool_placement for robot in (written, calibrated, nominal)]

@@ -19,7 +19,7 @@ from pm3dof_pin.kinematics.robot import Robot
 def test_the_file_is_the_mechanism(robot: str, tmp_path: Path) -> None:
     errors = GeometricErrors(Robot.load(robot))
     values = 10.0 * errors.sample(np.random.default_rng(3))
-    written = Robot.load(write_calibrated_robot(errors, values, robot, tmp_path))
+    written = Robot.load(write_calibrated_robot(errors, values, tmp_path))
     home = errors.robot.home.commands
     commands = home + np.random.default_rng(4).uniform(-0.002, 0.002, (5, len(home)))
     expected = errors.apply(values).forward(commands, guess=errors.robot.home.q)
@@ -30,7 +30,7 @@ def test_the_file_is_the_mechanism(robot: str, tmp_path: Path) -> None:
 
 def test_named_configurations_keep_their_commands_with_loops_closed(tmp_path: Path) -> None:
     errors = GeometricErrors.load("pm3dof")
-    written = Robot.load(write_calibrated_robot(errors, errors.sample(np.random.default_rng(5)), "pm3dof", tmp_path))
+    written = Robot.load(write_calibrated_robot(errors, errors.sample(np.random.default_rng(5)), tmp_path))
     assert written.home.closure_residual < 1e-12
     assert set(written.named_configurations) == set(errors.robot.named_configurations)
     for name, q in written.named_configurations.items():
@@ -52,7 +52,7 @@ def test_gimbal_lock_loses_nothing(tmp_path: Path) -> None:
     path.with_suffix(".closures.yaml").write_text(find_robot("pm3dof").closures.read_text())
     errors = GeometricErrors(Robot.load(path))
     values = errors.values({"O_e.rx": 1e-9, "O_e.ry": 2e-9, "O_e.rz": -3e-9})
-    written = Robot.load(write_calibrated_robot(errors, values, path, tmp_path / "out"))
+    written = Robot.load(write_calibrated_robot(errors, values, tmp_path / "out"))
     expected = errors.apply(values).home.tool_placement.rotation
     assert not np.allclose(expected, errors.robot.home.tool_placement.rotation, atol=1e-9)
     np.testing.assert_allclose(written.home.tool_placement.rotation, expected, atol=1e-15)

@@ -13,9 +13,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.calibration.calibrate import Options, calibrate
+from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.causes import likely_cause
-from pm3dof_pin.calibration.objections import calibrate_and_object, objections
+from pm3dof_pin.calibration.fit import Options, fit
+from pm3dof_pin.calibration.refusals import refusals
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -105,23 +106,20 @@ def test_where_nothing_is_wrong_there_is_no_cause_and_no_objection(
     measured: Measurements, tripod_errors: GeometricErrors
 ) -> None:
     assert likely_cause(measured, tripod_errors.robot, least=1e-3) is None
-    assert objections(calibrate(measured, tripod_errors, Options("lm")), None) == []
+    assert refusals(fit(measured, tripod_errors, Options("lm")), None) == []
 
 
 def test_a_frame_that_is_a_little_wrong_is_objected_to(measured: Measurements, tripod_errors: GeometricErrors) -> None:
     """Parameters can explain part of a rotated frame, but only by being many tolerances off."""
     spoil, _ = MISTAKES["frame"]
-    reasons = objections(calibrate(spoil(measured), tripod_errors, Options("lm")), None)
+    reasons = refusals(fit(spoil(measured), tripod_errors, Options("lm")), None)
     assert len(reasons) == 1
     assert re.search("tolerances .* from the description|larger than the machine could be off", reasons[0])
 
 
-def test_a_change_too_small_to_be_refused_is_named(
-    measured: Measurements, tripod_errors: GeometricErrors, caplog: pytest.LogCaptureFixture
-) -> None:
-    _, _, reasons = calibrate_and_object(_from_row_10(measured, 4e-4), tripod_errors, Options("lm"))
-    assert reasons == []
-    assert re.search("times the noise: most likely from line 12 on the (instrument|point)", caplog.text)
+def test_a_change_too_small_to_be_refused_is_named(measured: Measurements, tripod_errors: GeometricErrors) -> None:
+    found = calibrate(_from_row_10(measured, 4e-4), tripod_errors, "lm")
+    assert re.search("times the noise: most likely from line 12 on the (instrument|point)", " ".join(found.warnings))
 
 
 @pytest.mark.usefixtures("report_without_pictures")

@@ -15,9 +15,9 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+from pm3dof_pin.calibration import report
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import UnreachablePoseError
-from pm3dof_pin.figures import calibration_report
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine
 
@@ -38,7 +38,7 @@ def place(tmp_path_factory: pytest.TempPathFactory, answer: Answer) -> Path:
     assert measured["poses"] == 30
     options = ("--method", "lm+gp", "--out", "calibration", "--format", "png")
     with pytest.MonkeyPatch.context() as patch:  # pictures are files here, and painted in other tests
-        patch.setattr(calibration_report, "_image", lambda figure, text: f"<p>{text}</p>")
+        patch.setattr(report, "_image", lambda figure, text: f"<p>{text}</p>")
         patch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
         calibrated = answer("calibrate", "m.csv", *options, cwd=folder)
     assert calibrated["directory"] == "calibration"

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.judging import held_out_errors
+from pm3dof_pin.calibration.fit import Fit, Options, fit
+from pm3dof_pin.calibration.held_out import held_out_errors
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, placement
@@ -37,14 +37,14 @@ def measured(world: World, tripod_nominal: Poses) -> Measurements:
     return world.measure(tripod_nominal.commands[:60], np.random.default_rng(1))
 
 
-_CALIBRATED: dict[tuple[int, str], tuple[Measurements, Calibration]] = {}
+_CALIBRATED: dict[tuple[int, str], tuple[Measurements, Fit]] = {}
 
 
-def calibration_from(measured: Measurements, errors: GeometricErrors, method: str) -> Calibration:
+def calibration_from(measured: Measurements, errors: GeometricErrors, method: str) -> Fit:
     """Calibrate with a method; earlier calibrations are reused."""
     key = id(measured), method  # the measurements are kept, so that no others get their address
     if key not in _CALIBRATED:
-        _CALIBRATED[key] = measured, calibrate(measured, errors, Options(method))
+        _CALIBRATED[key] = measured, fit(measured, errors, Options(method))
     return _CALIBRATED[key][1]
 
 
@@ -213,14 +213,14 @@ def test_a_row_half_a_metre_off_is_no_more_than_an_outlier(
     some = measured[:20]
     positions = np.array(some.positions)
     positions[7, 2] *= 1000.0  # millimetres
-    found = calibrate(replace(some, positions=positions), tripod_errors, Options("lm+gp"))
+    found = fit(replace(some, positions=positions), tripod_errors, Options("lm+gp"))
     assert found.identification.outliers == (7,)
     assert 7 not in held_out_errors(found).rows
 
 
 def test_measurements_in_another_frame_are_refused(measured: Measurements, tripod_errors: GeometricErrors) -> None:
     with pytest.raises(InvalidValueError, match="not reachable by any commands"):
-        calibrate(replace(measured, positions=measured.positions - 0.3), tripod_errors)
+        fit(replace(measured, positions=measured.positions - 0.3), tripod_errors)
 
 
 def test_cross_validation_tells_before_after_and_floor(measured: Measurements, tripod_errors: GeometricErrors) -> None:
@@ -245,9 +245,9 @@ def test_one_pose_or_a_list_of_them_and_nothing_else(
 
 def test_too_few_and_out_of_reach(measured: Measurements, tripod_errors: GeometricErrors) -> None:
     with pytest.raises(InvalidValueError, match="at least 4"):
-        calibrate(measured[:3], tripod_errors, Options("gp"))
+        fit(measured[:3], tripod_errors, Options("gp"))
     with pytest.raises(InvalidValueError, match="more than 4 for a cross-validation"):
-        held_out_errors(calibrate(measured[:4], tripod_errors, Options("lm")))
+        held_out_errors(fit(measured[:4], tripod_errors, Options("lm")))
     with pytest.raises(InvalidValueError, match="one of lm, nn, gp"):
         Options("svm")  # type: ignore[arg-type]
     with pytest.raises(UnreachablePoseError):
@@ -257,7 +257,7 @@ def test_too_few_and_out_of_reach(measured: Measurements, tripod_errors: Geometr
 def test_too_few_poses_are_said(
     measured: Measurements, tripod_errors: GeometricErrors, caplog: pytest.LogCaptureFixture
 ) -> None:
-    calibrate(measured[:5], tripod_errors, Options("lm"))
+    fit(measured[:5], tripod_errors, Options("lm"))
     assert "5 measurements give 30 equations for 40 parameters, too few: 28 combinations are identified" in caplog.text
 
 
@@ -316,15 +316,15 @@ def test_tilts_that_positions_do_not_show_are_expected_to_be_off(
     commands = (found.compensation.corrected(wanted, middle) for found in (whole, blind))
     off = np.sqrt(np.mean(np.subtract(*commands) ** 2))
     assert 0.5 * off < np.sqrt(np.mean(held_out_errors(blind).excess ** 2)) < 2.0 * off
-    assert np.isnan(held_out_errors(calibrate(positions[:15], tripod_errors, Options("gp"))).excess).all()
+    assert np.isnan(held_out_errors(fit(positions[:15], tripod_errors, Options("gp"))).excess).all()
 
 
 def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod_errors: GeometricErrors) -> None:
     """A pose measured twice must not be predicted from its own copy: only distinct poses are evaluated."""
     twice = measured[[*range(5), *range(5)]]
-    assert not calibrate(twice, tripod_errors, Options("lm")).can_be_judged
-    once = held_out_errors(calibrate(measured[:12], tripod_errors, Options("lm", loss="squares")))
-    again = held_out_errors(calibrate(measured[[*range(12)] * 2], tripod_errors, Options("lm", loss="squares")))
+    assert not fit(twice, tripod_errors, Options("lm")).can_be_judged
+    once = held_out_errors(fit(measured[:12], tripod_errors, Options("lm", loss="squares")))
+    again = held_out_errors(fit(measured[[*range(12)] * 2], tripod_errors, Options("lm", loss="squares")))
     np.testing.assert_allclose(again.after[:12], again.after[12:], rtol=1e-9)
     assert again.after.mean() > 0.8 * once.after.mean()
 
@@ -336,7 +336,7 @@ def test_near_singular_poses_of_an_arm_do_not_spoil_the_judgement(serial_arm: Ro
     arm = World.random("geometry", errors, generator)
     commands = generator.uniform(-2.0, 2.0, (40, 6))
     commands[::8, 4] = 1e-3  # straight
-    found = calibrate(arm.measure(commands, generator), errors, Options("lm"))
+    found = fit(arm.measure(commands, generator), errors, Options("lm"))
     held_out = held_out_errors(found)
     assert np.median(held_out.floor) < 1e-6
     assert np.median(held_out.after) < 2.0 * np.median(held_out.noise)

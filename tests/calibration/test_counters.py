@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import Options, calibrate
-from pm3dof_pin.calibration.judging import held_out_errors
+from pm3dof_pin.calibration.fit import Options, fit
+from pm3dof_pin.calibration.held_out import held_out_errors
 from pm3dof_pin.description.coordinates import Command
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
@@ -26,7 +26,7 @@ def _calibrated(robot: Robot) -> tuple[Measurements, np.ndarray, np.ndarray, np.
     errors = closable(GeometricErrors(robot), poses)
     world = World.random("everything", errors, np.random.default_rng(4))
     measured = world.measure(poses.commands, np.random.default_rng(5))
-    calibration = calibrate(measured, errors, Options(method="lm"))
+    calibration = fit(measured, errors, Options(method="lm"))
     answer = calibration.compensation.compensate(poses[:10])
     judged = held_out_errors(calibration)
     return measured, (answer.commands - answer.nominal_commands) / scales, judged.excess, judged.floor

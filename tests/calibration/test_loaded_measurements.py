@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
+from pm3dof_pin.calibration.fit import Fit, Options, fit
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.elastic.batch import compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -34,7 +34,7 @@ STRONGEST = (400.0, 400.0, 400.0, 20.0, 20.0, 20.0)
 
 
 @pytest.fixture(scope="module", params=["pm3dof", "hexapod"])
-def loaded(request: pytest.FixtureRequest) -> tuple[World, dict[str, float], Calibration]:
+def loaded(request: pytest.FixtureRequest) -> tuple[World, dict[str, float], Fit]:
     """A machine with springs different from the description, and its calibration from measurements under wrenches."""
     errors, generator = GeometricErrors.load(request.param), np.random.default_rng(3)
     names = [str(entry["name"]) for entry in errors.robot.springs]
@@ -45,7 +45,7 @@ def loaded(request: pytest.FixtureRequest) -> tuple[World, dict[str, float], Cal
     world = World(machine).loaded(0.0, STRONGEST)
     commands = reachable_poses(errors.robot, 45, generator).commands
     measured = world.measure(commands, generator, Instrument(position_sigma=2e-6, angle_sigma=1e-5))
-    return world, factors, calibrate(measured, errors, Options("lm"))
+    return world, factors, fit(measured, errors, Options("lm"))
 
 
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod"])
@@ -69,7 +69,7 @@ def test_derivatives_by_stiffness_and_the_loaded_equilibrium(name: str) -> None:
 
 
 def test_springs_and_geometry_are_found_within_their_uncertainty(
-    loaded: tuple[World, dict[str, float], Calibration],
+    loaded: tuple[World, dict[str, float], Fit],
 ) -> None:
     world, factors, calibration = loaded
     found = calibration.identification
@@ -83,7 +83,7 @@ def test_springs_and_geometry_are_found_within_their_uncertainty(
     assert min(sigma for _, sigma in found.stiffness.values()) < 0.025  # the softest are known far better than before
 
 
-def test_commands_allow_for_a_wrench(loaded: tuple[World, dict[str, float], Calibration]) -> None:
+def test_commands_allow_for_a_wrench(loaded: tuple[World, dict[str, float], Fit]) -> None:
     """The true machine is commanded under 500 N sideways."""
     world, _, calibration = loaded
     compensation = calibration.compensation
@@ -103,7 +103,7 @@ def test_commands_allow_for_a_wrench(loaded: tuple[World, dict[str, float], Cali
 
 
 def test_a_plan_says_how_well_stiffness_will_be_known(
-    loaded: tuple[World, dict[str, float], Calibration],
+    loaded: tuple[World, dict[str, float], Fit],
 ) -> None:
     """Predicted for the described robot, and found at the planned poses and wrenches of a different machine."""
     world, factors, calibration = loaded
@@ -118,7 +118,7 @@ def test_a_plan_says_how_well_stiffness_will_be_known(
     assert plan.identifiability.names == problem.unknowns
     given = dict(zip(WRENCH_COLUMNS, wrenches[plan.indices].T, strict=True))
     measured = world.measure(plan.poses.commands, generator, instrument, given)
-    found = calibrate(measured, errors, Options("lm")).identification
+    found = fit(measured, errors, Options("lm")).identification
     predicted = problem.predicted_sigmas(plan.indices)
     for name, (_, sigma) in found.stiffness.items():
         # a stiffer spring shows less, in proportion

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,14 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
-from pm3dof_pin.calibration.judging import HeldOut, held_out_errors
-from pm3dof_pin.calibration.results import read_compensation, write_calibration
+from pm3dof_pin.calibration import calibrate as door
+from pm3dof_pin.calibration.calibrate import Calibration, calibrate
+from pm3dof_pin.calibration.folder import read_compensation
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.workspace_errors import workspace_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import energy as pose_energy
 from pm3dof_pin.exceptions import DescriptionError, OutputError
-from pm3dof_pin.figures.calibration_report import report_as_html
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurement_file import read_measurements
@@ -34,7 +35,11 @@ from pm3dof_pin.simulation.worlds import World
 def calibration(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Calibration:
     world = World.random("everything", tripod_errors, np.random.default_rng(0))
     measured = world.measure(tripod_nominal.commands[:20], np.random.default_rng(1))
-    return calibrate(measured, tripod_errors, Options("lm+gp"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(door, "workspace_errors", partial(workspace_errors, points=7))
+        found = calibrate(measured, tripod_errors)
+        assert found.workspace_errors is not None
+    return found
 
 
 pytestmark = pytest.mark.usefixtures("few_folds")
@@ -42,19 +47,18 @@ pytestmark = pytest.mark.usefixtures("few_folds")
 
 @pytest.fixture(scope="module")
 def held_out(calibration: Calibration) -> HeldOut:
-    return held_out_errors(calibration)
+    assert calibration.held_out is not None
+    return calibration.held_out
 
 
 @pytest.fixture(scope="module")
-def report(calibration: Calibration, held_out: HeldOut) -> str:
-    return report_as_html(calibration, "pm3dof", held_out, workspace_errors(calibration, 7))
+def report(calibration: Calibration) -> str:
+    return calibration.report()
 
 
 @pytest.fixture(scope="module")
-def folder(calibration: Calibration, held_out: HeldOut, report: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_calibration(
-        calibration, "pm3dof", tmp_path_factory.mktemp("results") / "calibration", held_out, report
-    )
+def folder(calibration: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return calibration.save(tmp_path_factory.mktemp("results") / "calibration")
 
 
 def test_what_is_read_corrects_the_same(calibration: Calibration, folder: Path, tripod_nominal: Poses) -> None:
@@ -72,8 +76,8 @@ def test_a_calibration_in_a_frame_of_the_instrument_is_read_again(
     commands, generator = tripod_nominal[:20].commands, np.random.default_rng(3)
     poses = tripod_errors.apply(tripod_errors.sample(generator)).forward(commands)
     measured = replace(Measurements.of_poses(commands, poses.transforms), registration=AT_THE_BASE)
-    found = calibrate(measured, tripod_errors, Options("lm"))
-    again = read_compensation(write_calibration(found, "pm3dof", tmp_path / "calibration"))
+    found = calibrate(measured, tripod_errors, "lm")
+    again = read_compensation(found.save(tmp_path / "calibration"))
     np.testing.assert_array_equal(again.covariance, found.compensation.covariance)
 
 
@@ -133,12 +137,14 @@ def test_the_measurements_are_kept(calibration: Calibration, folder: Path, tripo
 
 
 def test_the_same_bytes_again(
-    calibration: Calibration, folder: Path, tmp_path: Path, tripod_errors: GeometricErrors
+    calibration: Calibration,
+    folder: Path,
+    tmp_path: Path,
+    tripod_errors: GeometricErrors,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    repeated = calibrate(calibration.measurements, tripod_errors, Options("lm+gp"))
-    judged = held_out_errors(repeated)
-    page = report_as_html(repeated, "pm3dof", judged, workspace_errors(repeated, 7))
-    again = write_calibration(repeated, "pm3dof", tmp_path / "again", judged, page)
+    monkeypatch.setattr(door, "workspace_errors", partial(workspace_errors, points=7))
+    again = calibrate(calibration.measurements, tripod_errors).save(tmp_path / "again")
     files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     assert files == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
     for file in files:
@@ -154,7 +160,7 @@ def test_the_page_holds_its_pictures_and_numbers(report: str, held_out: HeldOut)
 
 
 def test_maps_know_before_after_and_the_floor(calibration: Calibration) -> None:
-    maps = workspace_errors(calibration, 7)
+    maps = calibration.workspace_errors
     assert maps is not None
     inside = np.isfinite(maps.before)
     assert maps.names == ("theta_x", "theta_y")
@@ -167,9 +173,9 @@ def test_maps_know_before_after_and_the_floor(calibration: Calibration) -> None:
 
 def test_a_folder_is_replaced_whole_or_left_alone(calibration: Calibration, tmp_path: Path) -> None:
     target = tmp_path / "calibration"
-    write_calibration(calibration, "pm3dof", target)
+    calibration.save(target)
     (target / "stale").write_text("")
-    write_calibration(calibration, "pm3dof", target)
+    calibration.save(target)
     assert not (target / "stale").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["calibration"]
 
@@ -177,7 +183,7 @@ def test_a_folder_is_replaced_whole_or_left_alone(calibration: Calibration, tmp_
     other.mkdir()
     (other / "letter.txt").write_text("dear")
     with pytest.raises(OutputError, match="the path is taken"):
-        write_calibration(calibration, "pm3dof", other)
+        calibration.save(other)
     assert [path.name for path in other.iterdir()] == ["letter.txt"]
 
 
@@ -187,7 +193,7 @@ def test_folders_that_are_no_calibration(folder: Path, calibration: Calibration,
     (tmp_path / "compensation.json").write_text("{")
     with pytest.raises(DescriptionError, match="expected the compensation of a calibration"):
         read_compensation(tmp_path)
-    target = write_calibration(calibration, "pm3dof", tmp_path / "damaged")
+    target = calibration.save(tmp_path / "damaged")
     data = json.loads((target / "compensation.json").read_text())
     del data["values"]
     (target / "compensation.json").write_text(json.dumps(data))
@@ -222,10 +228,10 @@ def test_a_damaged_compensation_is_refused_by_the_place(folder: Path, tmp_path: 
 
 @pytest.mark.usefixtures("report_without_pictures")
 def test_without_parameters_no_floor_is_drawn(calibration: Calibration, tripod_errors: GeometricErrors) -> None:
-    learned = calibrate(calibration.measurements[:10], tripod_errors, Options("gp"))
-    maps = workspace_errors(learned, 7)
+    learned = calibrate(calibration.measurements[:10], tripod_errors, "gp", on_refusal="keep")
+    maps = learned.workspace_errors
     assert maps is not None
     assert maps.floor is None
-    page = report_as_html(learned, "pm3dof", None, maps)
+    page = learned.report()
     assert "The part that no command corrects is not drawn" in page
     assert "The floor is the part that no command corrects" not in page

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.rms_interval import excess_interval, rms_interval
-from pm3dof_pin.calibration.scatter import Scatter
+from pm3dof_pin.calibration.scatter import Scatter, excess_interval, rms_interval
 
 POSES, DRIVES = 50, 3
 

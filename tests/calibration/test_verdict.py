@@ -11,18 +11,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.caution import HARM, Gain
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.objections import objections
+from pm3dof_pin.calibration.expectation import Expectation, Systematic
+from pm3dof_pin.calibration.fit import Fit, Options, fit
 from pm3dof_pin.calibration.planning import order_with_references
-from pm3dof_pin.calibration.repeatability import Systematic
-from pm3dof_pin.calibration.verdict import Verdict, verdict
+from pm3dof_pin.calibration.refusals import refusals
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.calibration_report import report_as_html
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurement_file import write_measurements
@@ -39,7 +37,7 @@ def truth(tripod_errors: GeometricErrors) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def calibration(truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Calibration:
+def calibration(truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Fit:
     """A machine with errors of geometry that scatters; its first pose is visited six times."""
     generator = np.random.default_rng(4)
     poses = tripod_nominal[[*range(30), *[0] * REPEATS]]
@@ -48,12 +46,12 @@ def calibration(truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nomina
     reached[:, :3, 3] += noise[:, :3] + SCATTER * generator.standard_normal((len(poses), 3))
     reached[:, :3, :3] = Rotation.from_rotvec(noise[:, 3:]).as_matrix() @ reached[:, :3, :3]
     times = 60.0 * np.arange(len(poses))
-    return calibrate(replace(Measurements.of_poses(poses.commands, reached), times=times), tripod_errors, Options("lm"))
+    return fit(replace(Measurements.of_poses(poses.commands, reached), times=times), tripod_errors, Options("lm"))
 
 
 @pytest.fixture(scope="module")
-def judgement(calibration: Calibration) -> Verdict:
-    return verdict(calibration)
+def judgement(calibration: Fit) -> Expectation:
+    return Expectation.from_fit(calibration)
 
 
 def test_upper_quantiles_against_samples() -> None:
@@ -71,7 +69,7 @@ def test_upper_quantiles_against_samples() -> None:
 
 
 def test_bounds_hold_on_the_machine(
-    calibration: Calibration, truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nominal: Poses
+    calibration: Fit, truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
     wanted, generator = tripod_nominal[200:260], np.random.default_rng(9)
     answer = calibration.compensation.compensate(wanted)
@@ -83,7 +81,7 @@ def test_bounds_hold_on_the_machine(
     assert np.all(answer.error_bound > answer.predicted_error)
 
 
-def test_the_budget_adds_up(judgement: Verdict, calibration: Calibration, tripod_nominal: Poses) -> None:
+def test_the_budget_adds_up(judgement: Expectation, calibration: Fit, tripod_nominal: Poses) -> None:
     total = np.sqrt(sum(value**2 for value in judgement.budget.values()))
     expected = calibration.compensation.compensate(tripod_nominal[:150]).predicted_error
     assert total == pytest.approx(np.sqrt(np.mean(expected**2)), rel=0.1)  # over other poses of the workspace
@@ -91,7 +89,7 @@ def test_the_budget_adds_up(judgement: Verdict, calibration: Calibration, tripod
     assert judgement.budget["frame"] < 1e-9
 
 
-def test_repeated_poses_tell_the_scatter(judgement: Verdict) -> None:
+def test_repeated_poses_tell_the_scatter(judgement: Expectation) -> None:
     repeated = judgement.repeated
     assert repeated is not None
     assert repeated.freedom == REPEATS
@@ -101,7 +99,7 @@ def test_repeated_poses_tell_the_scatter(judgement: Verdict) -> None:
     assert repeated.repeatability[0] > SCATTER
 
 
-def test_where_nothing_drifts_no_drift_is_claimed(judgement: Verdict) -> None:
+def test_where_nothing_drifts_no_drift_is_claimed(judgement: Expectation) -> None:
     assert {found.kind: found.sure for found in judgement.systematic} == {"drift": False}
 
 
@@ -119,7 +117,7 @@ def test_warming_and_backlash_are_said(
     growth = 8.0 * 12e-6 * part[:, None] * reached[:, :3, 3]
     reached[:, :3, 3] += growth + generator.normal(0.0, 7.5e-6, growth.shape)
     seen = replace(Measurements.of_poses(commands, reached), times=3600.0 * part, approaches=side)
-    found = {each.kind: each for each in Systematic.all_of(calibrate(seen, tripod_errors, Options("lm")))}
+    found = {each.kind: each for each in Systematic.all_from_fit(fit(seen, tripod_errors, Options("lm")))}
     slid = np.abs(
         machine.forward(commands + 10e-6 * side, guess=nominal.q).positions - machine.forward(commands).positions
     )
@@ -134,24 +132,13 @@ def test_warming_and_backlash_are_said(
     assert "hysteresis moved the tool by" in answer.stdout
 
 
-@pytest.mark.usefixtures("report_without_pictures")
-def test_the_report_says_it_first(calibration: Calibration, judgement: Verdict) -> None:
-    page = report_as_html(calibration, "pm3dof", judgement=judgement)
-    body = page[page.index("<body>") :]
-    words = ("To expect:", "Not seen:", "To do next:", "Sources of the remaining error")
-    places = [body.index(heading) for heading in words]
-    assert places == sorted(places)
-    assert body.index("Measurements</h2>") > places[3]
-    assert "repeatability RP" in body
-
-
 def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     """Heights do not determine the tilts: machines consistent with the data, with full or cautious corrections."""
     poses, generator = tripod_nominal[:12], np.random.default_rng(3)
     truth = tripod_errors.apply(0.6 * tripod_errors.sample(generator)).forward(poses.commands, guess=poses.q)
     measured = Measurements.of_poses(poses.commands, truth.transforms)
     heights = replace(measured, rotations=None, sigmas=np.tile([np.inf, np.inf, 7.5e-6], (12, 1)))
-    found = calibrate(heights, tripod_errors, Options("lm", prior=1.0))
+    found = fit(heights, tripod_errors, Options("lm", prior=1.0))
     whole = Compensation.of(found.identification, found.options.eta)
     corrections = [compensation.corrected(poses) for compensation in (whole, found.compensation)]
     commands, starts = np.concatenate([poses.commands, *corrections]), np.tile(poses.q, (3, 1))
@@ -172,5 +159,5 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     assert harmed[1] <= 5 / 150  # of 1 % of them, which more than so many are once in 200 draws
     assert 0.0 < gained[1] < gained[0]
     assert 0.1 < found.part_corrected < 0.95
-    assert not any("worse than uncorrected ones" in reason for reason in objections(found, None))
-    assert calibrate(measured, tripod_errors, Options("lm")).chance_of_harm < 1e-6
+    assert not any("worse than uncorrected ones" in reason for reason in refusals(found, None))
+    assert fit(measured, tripod_errors, Options("lm")).chance_of_harm < 1e-6

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration import verdict
+from pm3dof_pin.calibration import expectation
 
 Run = Callable[..., Any]
 Case = Any  # of conftest
@@ -122,7 +122,7 @@ def test_measured_calibrated_compensated(
         return
     if case.name != "five_bar":  # one report with its pictures, and its numbers from many poses, is enough
         request.getfixturevalue("report_without_pictures")
-        monkeypatch.setattr(verdict, "_POSES", 40)
+        monkeypatch.setattr(expectation, "_POSES", 40)
     pm3dof("measure", "--out", "measured.csv", *case.options, "--poses", 12, "--seed", 1)
     few = ("--force",) if case.name == "delta" else ()  # 72 equations for its 204 error parameters
     pm3dof("calibrate", "measured.csv", *case.options, "--out", "calibrated", "--method", "lm", *few)

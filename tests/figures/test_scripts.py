@@ -13,7 +13,7 @@ from typing import Any
 import matplotlib.image
 import pytest
 
-from pm3dof_pin.calibration import workspace_errors
+from pm3dof_pin.calibration import calibrate
 from pm3dof_pin.figures import section_map, style
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
@@ -65,7 +65,7 @@ def test_script(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], m
     if name not in IN_FULL:
         monkeypatch.setattr(style, "DPI", 100)
         monkeypatch.setattr(section_map, "_FACES", 2000)
-        monkeypatch.setattr(workspace_errors, "workspace_errors", partial(workspace_errors.workspace_errors, points=7))
+        monkeypatch.setattr(calibrate, "workspace_errors", partial(calibrate.workspace_errors, points=7))
     script = _load(name)
     if name == "studies/plan_study":
         small = {

@@ -312,7 +312,7 @@ def _read_plan(folder: Path) -> None:
 def _read_calibration(folder: Path) -> None:
     import numpy as np
 
-    from pm3dof_pin.calibration.results import read_compensation
+    from pm3dof_pin.calibration.folder import read_compensation
     from pm3dof_pin.kinematics.robot import load
 
     compensation, robot = read_compensation(folder / "calibration"), load(folder.name)

@@ -21,17 +21,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.calibration.calibrate import Options
+from pm3dof_pin.calibration.calibrate import Options, calibrate
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.objections import calibrate_and_object
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
-from pm3dof_pin.exceptions import CalibrationRefusedError, PM3DofError
+from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.command_columns import command_columns
-from pm3dof_pin.measuring.measurement_file import read_measurements
 from pm3dof_pin.typing import Array
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -76,9 +75,7 @@ class Good:
         rng = np.random.default_rng(seed)
         errors = GeometricErrors.load(robot, tool_frame=frame)
         if name == "five_bar":
-            from pm3dof_pin.cli.error_parameters import closing_errors
-
-            errors = closing_errors(errors, quiet=True)
+            errors = closable(errors)
         sample = reachable_poses(errors.robot, poses, rng)
         wanted = reachable_poses(errors.robot, 20, rng)
         machines = [errors.apply(errors.sample(rng)) for _ in range(2)]
@@ -588,11 +585,7 @@ def outcome(good: Good, spoilt: Table | str, folder: Path, method: str = "lm") -
     path.write_text(text, encoding="utf-8", newline="")
     with _messages() as said:
         try:
-            measurements = read_measurements(path, good.errors.robot, target_sigma=1e-3)
-            options = Options(method)
-            calibration, _, reasons = calibrate_and_object(measurements, good.errors, options)
-            if reasons:
-                raise CalibrationRefusedError(reasons)
+            calibration = calibrate(path, good.errors, Options(method))
         except PM3DofError as error:
             return Outcome("refused", " | ".join([*said, str(error)]))
     return Outcome(

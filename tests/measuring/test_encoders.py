@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.calibrate import Options
+from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.identifiability import identifiability, stacked_regressor
 from pm3dof_pin.calibration.identification import identify
-from pm3dof_pin.calibration.objections import _noise_in_words, calibrate_and_object
+from pm3dof_pin.calibration.refusals import _noise_in_words
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.errors.sensitivity import sensitivities
@@ -143,7 +143,7 @@ def test_they_make_a_calibration_from_positions_better(tripod_errors: GeometricE
         believed = tripod_errors.apply(values).forward(wanted.commands, guess=wanted.q)
         missed.append(float(np.sqrt(np.mean(tip_error(pose_difference(believed.transforms, true)) ** 2))))
     assert missed[2] < 0.5 * missed[1] < 0.5 * missed[0]
-    assert calibrate_and_object(read, tripod_errors, Options("lm"))[2] == [], "nothing speaks against it"
+    assert calibrate(read, tripod_errors, "lm").refusals == ()
 
 
 def test_what_is_wrong_with_encoders_is_named(tripod_nominal: Poses, tmp_path: Path) -> None:

@@ -22,10 +22,10 @@ FLOORS = (
     ("errors",),
     ("measuring",),
     ("simulation",),
-    ("calibration",),
     ("maps",),
     ("chapter",),
     ("figures", "viewer", "export"),
+    ("calibration",),
     ("cli",),
     ("__main__",),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.calibrate import Options, calibrate
+from pm3dof_pin.calibration.fit import Options, fit
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -43,7 +43,7 @@ def test_what_is_known_stands_in_columns(world: World, tripod_errors: GeometricE
     assert set(measured.conditions) == {TEMPERATURE, WEIGHT_COLUMN}
     assert 0.0 <= measured.conditions[WEIGHT_COLUMN].min() < 10.0
     assert 50.0 < measured.conditions[WEIGHT_COLUMN].max() <= 60.0
-    calibration = calibrate(measured[:12], tripod_errors, Options("gp"))
+    calibration = fit(measured[:12], tripod_errors, Options("gp"))
     assert calibration.compensation.learned is not None
     assert set(calibration.compensation.learned.inputs.conditions) == {TEMPERATURE, WEIGHT_COLUMN}
 

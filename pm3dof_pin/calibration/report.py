@@ -10,14 +10,12 @@ from html import escape
 import numpy as np
 from matplotlib.figure import Figure
 
-from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.elastic_term import STIFFNESS_SIGMA
+from pm3dof_pin.calibration.expectation import Expectation
+from pm3dof_pin.calibration.fit import Fit
+from pm3dof_pin.calibration.held_out import HeldOut, statistics
 from pm3dof_pin.calibration.identification import Identification
-from pm3dof_pin.calibration.judging import HeldOut
-from pm3dof_pin.calibration.results import statistics
-from pm3dof_pin.calibration.verdict import Verdict
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
-from pm3dof_pin.figures.calibration import calibration_pictures
 from pm3dof_pin.figures.style import house_style
 
 _STYLE = """
@@ -45,30 +43,28 @@ _METHODS = {
 
 
 def report_as_html(
-    calibration: Calibration,
+    calibration: Fit,
     robot: str,
-    held_out: HeldOut | None = None,
-    maps: WorkspaceErrors | None = None,
-    *,
-    validation: HeldOut | None = None,
-    objections: Sequence[str] = (),
-    judgement: Verdict | None = None,
-    pictures: Mapping[str, Figure] | None = None,
+    pictures: Mapping[str, Figure],
+    held_out: HeldOut | None,
+    validation: HeldOut | None,
+    maps: WorkspaceErrors | None,
+    refusals: Sequence[str],
+    expectation: Expectation,
 ) -> str:
     """Return the report of a calibration, with its pictures; identical calibrations give identical bytes."""
     options, found = calibration.options, calibration.identification
-    pictures = pictures or calibration_pictures(calibration, held_out, maps, validation=validation)
     of_validation, of_held_out = (pictures.get(f"tip_error_{kind}") for kind in ("validation", "held_out"))
     parts = [
         f"<h1>Calibration of {escape(robot)}</h1>",
-        *(f"<p><b>Written with --force, although {escape(reason)}.</b></p>" for reason in objections),
-        *([] if judgement is None else _verdict(judgement)),
+        *(f"<p><b>Written with --force, although {escape(reason)}.</b></p>" for reason in refusals),
+        *_expectation(expectation),
         f"<p>{len(calibration.measurements)} measurements ({found.measurements.measured}s), method "
         f"<b>{options.method}</b>: {_METHODS[options.method]}. Tip errors weigh rotations by {options.eta:g} m/rad. "
         f"Seed {options.seed}.</p>",
         *([] if validation is None else _accuracy(calibration, validation, of_validation, *_VALIDATION)),
         *_accuracy(calibration, held_out, of_held_out, *_CROSS_VALIDATION),
-        *([] if judgement is None else _budget(judgement)),
+        *_budget(expectation),
         *_data(calibration, pictures["residuals"]),
     ]
     if maps is not None:
@@ -87,7 +83,7 @@ def report_as_html(
     )
 
 
-def _data(calibration: Calibration, residuals: Figure) -> list[str]:
+def _data(calibration: Fit, residuals: Figure) -> list[str]:
     found = calibration.identification
     remarks = [escape(text) for text in calibration.measurements.warnings]
     if (registration := calibration.measurements.registration) is not None:
@@ -108,12 +104,12 @@ def _data(calibration: Calibration, residuals: Figure) -> list[str]:
     return ["<h2>Measurements</h2>", f"<ul>{listed}</ul>", _image(residuals, "residual of each measurement")]
 
 
-def _verdict(judgement: Verdict) -> list[str]:
-    lines = (("To expect", judgement.expect), ("Not seen", judgement.unseen), ("To do next", judgement.next))
+def _expectation(found: Expectation) -> list[str]:
+    lines = (("To expect", found.text), ("Not seen", found.not_seen), ("To do next", found.next))
     return ["<p>" + "<br>".join(f"<b>{name}:</b> {escape(text)}." for name, text in lines) + "</p>"]
 
 
-def _budget(judgement: Verdict) -> list[str]:
+def _budget(expectation: Expectation) -> list[str]:
     words = {
         "floor": "not correctable by commands",
         "instrument": "instrument noise",
@@ -124,21 +120,21 @@ def _budget(judgement: Verdict) -> list[str]:
         "unmodelled": "unmodelled effects",
         "repeatability": "repeatability",
     }
-    rows = [(words[name], f"{1e6 * value:.1f}") for name, value in judgement.budget.items()]
-    total = float(np.sqrt(sum(value**2 for value in judgement.budget.values())))
+    rows = [(words[name], f"{1e6 * value:.1f}") for name, value in expectation.budget.items()]
+    total = float(np.sqrt(sum(value**2 for value in expectation.budget.values())))
     parts = [
         "<h2>Sources of the remaining error</h2>",
         "<p>Contributions to the tip error of the corrected machine, root mean square over the workspace; squares add "
         "up.</p>",
         _table(("source", "tip error [µm]"), [*rows, ("total", f"{1e6 * total:.1f}")]),
     ]
-    for found in judgement.systematic:
+    for found in expectation.systematic:
         chance = "significant" if found.sure else "not significant"
         parts.append(
             f"<p>{found.kind.capitalize()}: {1e6 * found.tip:.1f} ± {1e6 * found.tip_sigma:.1f} µm at the tip, "
             f"{chance}. It is removed from the identification, not corrected.</p>"
         )
-    repeated = judgement.repeated
+    repeated = expectation.repeated
     if repeated is not None:
         parts.append(
             f"<p>Repeated poses: the machine deviates from its mean by {1e6 * repeated.tip_sigma:.1f} µm at the tip "
@@ -155,9 +151,7 @@ def _budget(judgement: Verdict) -> list[str]:
     return parts
 
 
-def _accuracy(
-    calibration: Calibration, held_out: HeldOut | None, picture: Figure | None, title: str, text: str
-) -> list[str]:
+def _accuracy(calibration: Fit, held_out: HeldOut | None, picture: Figure | None, title: str, text: str) -> list[str]:
     heading = f"<h2>{title}</h2>"
     if held_out is None or picture is None:
         return [heading, "<p>Unknown: too few poses for a cross-validation.</p>"]

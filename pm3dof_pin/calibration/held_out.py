@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
 from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.fit import MIN_POSES, Fit, compensation_from
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
-from pm3dof_pin.calibration.rms_interval import COVERAGE, excess_interval
-from pm3dof_pin.calibration.scatter import Scatter
+from pm3dof_pin.calibration.scatter import COVERAGE, Scatter, excess_interval
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array, Indices, Mask
-
-logger = logging.getLogger(__name__)
 
 _FOLDS = 5
 _MOVED = 0.01  # [m, rad]: farther than a machine's errors move its base
@@ -43,11 +39,12 @@ class HeldOut:
             and from the further scatter. Observing it would add more noise than there is excess. NaN for a method
             without parameters, which would tell the uncertainty, if not all motions of the drives are seen.
         excess_interval: interval of this machine's root mean square of that over the visits, with a probability of
-            95 %, see :mod:`pm3dof_pin.calibration.rms_interval`; None for a learning method, near singular poses, and
-            from the noise factor :data:`~pm3dof_pin.calibration.calibrate.SMOOTH` on.
+            95 %, see :mod:`pm3dof_pin.calibration.scatter`; None for a learning method, near singular poses, and
+            from the noise factor :data:`~pm3dof_pin.calibration.fit.SMOOTH` on.
         scatter: errors of the corrected machine beyond the known uncertainty.
         within: fraction of the visits at which the remaining error is below the bound of :data:`COVERAGE`.
         energies: E of (8.15), E_xyz + eta E_orientation, of `before`, `after` and `floor`, shape=(3, visits) [m].
+        notes: what to know about their evaluation.
     """
 
     rows: Indices
@@ -60,9 +57,10 @@ class HeldOut:
     scatter: Scatter
     within: float
     energies: Array
+    notes: tuple[str, ...] = ()
 
 
-def held_out_errors(calibration: Calibration) -> HeldOut:
+def held_out_errors(calibration: Fit) -> HeldOut:
     """Judge a calibration by cross-validation: the same method, fitted to four fifths of the poses at a time.
 
     Measurements at the same commands, of several targets or repeated, are held out together. The instrument's frame and
@@ -76,8 +74,8 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
     measurements = calibration.measurements[rows]
     numbers = measurements.pose_numbers
     count = int(numbers.max(initial=-1)) + 1
-    if count <= LEAST_POSES:
-        raise InvalidValueError("measurements", f"{count} poses", f"more than {LEAST_POSES} for a cross-validation")
+    if count <= MIN_POSES:
+        raise InvalidValueError("measurements", f"{count} poses", f"more than {MIN_POSES} for a cross-validation")
     folds = np.random.default_rng(options.seed).permutation(np.arange(count) % min(_FOLDS, count))[numbers]
     parts, starts = [], []
     for fold in range(int(folds.max()) + 1):
@@ -101,35 +99,37 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
     return _together(calibration, rows, scores, Scatter.of(*seen), Scatter.of(*seen, least=1.0))
 
 
-def validated_errors(calibration: Calibration, measurements: Measurements) -> HeldOut:
+def validated_errors(calibration: Fit, measurements: Measurements) -> HeldOut:
     """Judge a calibration by other measurements, in base axes or from an instrument with its own frame.
 
     The frame is the identified one, or if the instrument has clearly moved, one found from these alone.
     """
-    settled = calibration.identification.settle(_of_their_own_station(calibration, measurements))
+    measurements, notes = _of_their_own_station(calibration, measurements)
+    settled = calibration.identification.settle(measurements)
     compensation = calibration.compensation
     scores = _scores_of(compensation, settled, compensation)
     scatter = compensation.scatter
-    return _together(calibration, np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
+    found = _together(calibration, np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
+    return replace(found, notes=notes)
 
 
-def _of_their_own_station(calibration: Calibration, measurements: Measurements) -> Measurements:
-    """Return measurements of an instrument that was moved, in the base located by the calibrated machine."""
+def _of_their_own_station(calibration: Fit, measurements: Measurements) -> tuple[Measurements, tuple[str, ...]]:
+    """Return measurements of an instrument that was moved, in the base located by the calibrated machine; say so."""
     first, second = calibration.measurements.registration, measurements.registration
     if first is None or second is None or not measurements.seen.all():
-        return measurements
+        return measurements, ()
     difference = pose_difference(first.base, second.base)
     if np.linalg.norm(difference[:3]) < _MOVED and np.linalg.norm(difference[3:]) < _MOVED:
-        return measurements
+        return measurements, ()
     compensation = calibration.compensation
     reached = compensation.poses(compensation.errors.robot.forward(measurements.commands), measurements.conditions)
     found = measurements.registered_at(reached, compensation.eta)
-    logger.warning(
-        "the validation was measured from another station, %.3g m away: its base is located separately, and errors "
-        "common to all poses are not judged",
-        float(np.linalg.norm(difference[:3])),
+    distance = float(np.linalg.norm(difference[:3]))
+    note = (
+        f"the validation was measured from another station, {distance:.3g} m away: its base is located separately, and "
+        "errors common to all poses are not judged"
     )
-    return replace(measurements.in_axes(found), registration=None)
+    return replace(measurements.in_axes(found), registration=None), (note,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +194,7 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
     return _Scores(sizes, left.errors, known, left.shown, control, of_all, effects)
 
 
-def _together(calibration: Calibration, rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
+def _together(calibration: Fit, rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
     """Combine the errors, with `scatter` for the bounds and the certain part of it, `sure`, for the excess."""
     before, after, floor, noise, *energies = scores.sizes.T
     gains, left = control_inverse(scores.control), sure.covariances(scores.control)
@@ -204,3 +204,12 @@ def _together(calibration: Calibration, rows: Indices, scores: _Scores, scatter:
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
     interval = excess_interval(scores.effects, sure, scores.control) if calibration.scatters else None
     return HeldOut(rows, before, after, floor, noise, excess, interval, scatter, within, np.array(energies))
+
+
+def statistics(values: Array) -> dict[str, float]:
+    """Return mean, 95th percentile and maximum."""
+    return {
+        "mean": float(np.mean(values)),
+        "percentile_95": float(np.percentile(values, 95.0)),
+        "max": float(np.max(values)),
+    }

@@ -5,7 +5,7 @@
     measurements.csv     the measurements used
     nominal/             the robot as described: URDF, closures, error parameters
     calibrated/          the same with the identified parameters, for other programs (methods with "lm")
-    report.html          written by :mod:`pm3dof_pin.figures.calibration_report`
+    report.html          made by :mod:`pm3dof_pin.calibration.report`
 
 The same measurements, method and seed give the same bytes.
 """
@@ -20,15 +20,14 @@ from typing import Any
 import numpy as np
 import yaml
 
-from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.calibrated_urdf import write_calibrated_robot
 from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.expectation import Expectation
+from pm3dof_pin.calibration.fit import Fit
+from pm3dof_pin.calibration.held_out import HeldOut, statistics
 from pm3dof_pin.calibration.identification import Identification
-from pm3dof_pin.calibration.judging import HeldOut
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.calibration.scatter import Scatter
-from pm3dof_pin.calibration.verdict import Verdict
-from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.exceptions import DescriptionError
@@ -50,46 +49,30 @@ _MOST_DEPTH = 12
 _FORMAT = 1
 
 
-def write_calibration(
-    calibration: Calibration,
-    robot: str | Path,
-    directory: Path | str,
-    held_out: HeldOut | None = None,
-    report: str | None = None,
-    *,
-    validation: HeldOut | None = None,
-    objections: Sequence[str] = (),
-    judgement: Verdict | None = None,
-    errors_file: Path | None = None,
-) -> Path:
-    """Write a calibration of a robot, given by name or path, atomically, replacing an older one.
-
-    Held-out errors or those of other measurements, the report, objections and the verdict are written with it, and the
-    error file that was used instead of the robot's own. Returns the folder.
+def write_calibration(calibration: Fit, directory: Path | str, summary: Mapping[str, Any], report: str) -> Path:
+    """Write a calibration with its summary and report, atomically, replacing an older one; return the folder.
 
     Raises:
+        DescriptionError: its robot was not read from files.
         OutputError: the folder cannot be written, or it contains something other than a calibration.
-        UnknownRobotError: no such robot.
     """
-    compensation, files = calibration.compensation, find_robot(robot)
+    compensation, files = calibration.compensation, calibration.compensation.errors.robot.files
+    if files is None:
+        raise DescriptionError(compensation.errors.robot.source, "files", "expected a robot that was read from files")
+    errors_file = compensation.errors.file or files.errors
+    sources = [(source, source.name) for source in (files.path, files.closures, files.srdf) if source is not None]
     with replace_directory(directory, _SUMMARY) as folder:
-        sources = [(source, source.name) for source in (files.path, files.closures, files.srdf) if source is not None]
-        for source, name in [*sources, (errors_file or files.errors, files.errors.name)]:
+        for source, name in [*sources, (errors_file, files.errors.name)]:
             if source.is_file():
                 write_text_atomically(folder / "nominal" / name, source.read_text(encoding="utf-8"))
         if compensation.values is not None:
             factors = {name: factor for name, (factor, _) in compensation.stiffness.items()}
-            write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated", factors)
+            write_calibrated_robot(compensation.errors, compensation.values, folder / "calibrated", factors)
         write_measurements(calibration.measurements, compensation.errors.robot, folder / MEASUREMENTS)
         write_text_atomically(folder / _COMPENSATION, _compensation_as_json(compensation, files.path.name))
-        summary = summary_of(
-            calibration, files.name, held_out, validation=validation, objections=objections, judgement=judgement
-        )
-        write_text_atomically(
-            folder / _SUMMARY, yaml.safe_dump(summary, sort_keys=False, width=120, allow_unicode=True)
-        )
-        if report is not None:
-            write_text_atomically(folder / REPORT, report)
+        text = yaml.safe_dump(dict(summary), sort_keys=False, width=120, allow_unicode=True)
+        write_text_atomically(folder / _SUMMARY, text)
+        write_text_atomically(folder / REPORT, report)
     return Path(directory)
 
 
@@ -99,14 +82,11 @@ def read_compensation(directory: Path | str) -> Compensation:
     Example:
         >>> import numpy as np
         >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.calibration.calibrate import Options
-        >>> from pm3dof_pin.calibration.results import write_calibration
         >>> errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
         >>> machine = pm.SimulatedMachine.random(errors, generator, everything=False)
         >>> commands = pm.reachable_poses(errors.robot, 40, generator).commands
         >>> measurements = pm.Measurements.of_poses(commands, machine.measure(commands, generator))
-        >>> calibration = pm.calibrate(measurements, errors, Options(method="lm"))
-        >>> folder = write_calibration(calibration, "pm3dof", "calibration")
+        >>> folder = pm.calibrate(measurements, errors, "lm").save("calibration")
         >>> pm.read_compensation(folder).compensate(errors.robot.solve([[0.1, -0.2, 0.5]])).commands.shape
         (1, 3)
 
@@ -129,21 +109,19 @@ def read_compensation(directory: Path | str) -> Compensation:
 
 
 def summary_of(
-    calibration: Calibration,
-    robot: str,
-    held_out: HeldOut | None = None,
-    *,
-    validation: HeldOut | None = None,
-    objections: Sequence[str] = (),
-    judgement: Verdict | None = None,
+    calibration: Fit,
+    held_out: HeldOut | None,
+    validation: HeldOut | None,
+    refusals: Sequence[str],
+    expectation: Expectation,
 ) -> dict[str, Any]:
-    """Return method and results as plain data; keys end in their unit. See :func:`write_calibration`."""
-    options, found = calibration.options, calibration.identification
+    """Return method and results as plain data; keys end in their unit."""
+    options, found, robot = calibration.options, calibration.identification, calibration.compensation.errors.robot
     summary: dict[str, Any] = {
         "format": _FORMAT,
-        "robot": robot,
-        **({"forced_against": list(objections)} if objections else {}),
-        **({} if judgement is None else _verdict_summary(judgement)),
+        "robot": robot.name if robot.files is None else robot.files.name,
+        **({"forced_against": list(refusals)} if refusals else {}),
+        **_expectation_summary(expectation),
         "method": options.method,
         "seed": options.seed,
         "eta_m_per_rad": options.eta,
@@ -152,7 +130,7 @@ def summary_of(
         "noise_factor": found.noise_factor,
         "unexplained_tip_error_m": calibration.compensation.scatter.tip_error,
     }
-    units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
+    units = sorted({command.unit for command in robot.commands})
     for name, errors in (("validation", validation), ("held_out", held_out)):
         if errors is not None:
             summary[name] = _held_out_summary(errors, "_".join(["excess_joint_error", *units]))
@@ -161,18 +139,18 @@ def summary_of(
     return summary
 
 
-def _verdict_summary(judgement: Verdict) -> dict[str, Any]:
+def _expectation_summary(expectation: Expectation) -> dict[str, Any]:
     summary: dict[str, Any] = {
-        "what_to_expect": judgement.expect,
-        "what_was_not_seen": judgement.unseen,
-        "what_to_do_next": judgement.next,
-        "tip_error_95_percent_bound_m": judgement.bound,
-        "tip_error_rms_95_percent_interval_m": None if judgement.interval is None else list(judgement.interval),
-        "uncertainty_budget_m": dict(judgement.budget),
+        "what_to_expect": expectation.text,
+        "what_was_not_seen": expectation.not_seen,
+        "what_to_do_next": expectation.next,
+        "tip_error_95_percent_bound_m": expectation.bound,
+        "tip_error_rms_95_percent_interval_m": None if expectation.interval is None else list(expectation.interval),
+        "uncertainty_budget_m": dict(expectation.budget),
     }
-    for found in judgement.systematic:
+    for found in expectation.systematic:
         summary[found.kind] = {"tip_error_m": found.tip, "tip_sigma_m": found.tip_sigma, "more_than_chance": found.sure}
-    if (repeated := judgement.repeated) is not None:
+    if (repeated := expectation.repeated) is not None:
         numbers = (repeated.poses + 1, repeated.visits, repeated.accuracy, repeated.repeatability)
         columns = [column.tolist() for column in numbers]
         summary["repeatability"] = {
@@ -196,15 +174,6 @@ def _held_out_summary(errors: HeldOut, excess: str) -> dict[str, Any]:
     if errors.excess_interval is not None and excess in named:
         named[excess]["rms_95_percent_interval"] = list(errors.excess_interval)
     return {"poses": len(errors.after)} | named | {"within_95_percent_bound": errors.within}
-
-
-def statistics(values: Array) -> dict[str, float]:
-    """Return mean, 95th percentile and maximum."""
-    return {
-        "mean": float(np.mean(values)),
-        "percentile_95": float(np.percentile(values, 95.0)),
-        "max": float(np.max(values)),
-    }
 
 
 def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
@@ -317,7 +286,7 @@ def _scatter(path: Path, data: Mapping[str, Any], drives: int) -> Scatter:
     return found
 
 
-def _measurements_summary(calibration: Calibration) -> dict[str, Any]:
+def _measurements_summary(calibration: Fit) -> dict[str, Any]:
     measurements, found = calibration.measurements, calibration.identification
     summary: dict[str, Any] = {
         "count": len(measurements),

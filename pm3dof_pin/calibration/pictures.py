@@ -9,9 +9,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
 
-from pm3dof_pin.calibration.calibrate import Calibration
+from pm3dof_pin.calibration.fit import Fit
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import Identification
-from pm3dof_pin.calibration.judging import HeldOut
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.figures.color_scale import color_scale
 from pm3dof_pin.figures.labels import axis_label, parameter_words
@@ -30,7 +30,7 @@ _MICROMETRES = 1e6
 
 
 def calibration_pictures(
-    calibration: Calibration,
+    calibration: Fit,
     held_out: HeldOut | None = None,
     maps: WorkspaceErrors | None = None,
     *,

@@ -1,32 +1,22 @@
-"""Objections to a calibration: it would not be true of the machine, or would make it worse."""
+"""Why a calibration is refused, or doubted: it would not be true of the machine, or would make it worse."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.causes import change_in_the_middle, likely_cause
+from pm3dof_pin.calibration.fit import Fit
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import PRIOR, Identification
-from pm3dof_pin.calibration.judging import HeldOut, held_out_errors
 from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.pseudo_error import seen_errors
-from pm3dof_pin.calibration.rms_interval import COVERAGE
+from pm3dof_pin.calibration.scatter import COVERAGE
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.exceptions import (
-    CalibrationRefusedError,
-    ConvergenceError,
-    InvalidValueError,
-    PM3DofError,
-    SingularConfigurationError,
-    UnreachablePoseError,
-)
+from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.measuring.measurements import Measurements
-
-logger = logging.getLogger(__name__)
 
 STRAIN = 2.0
 """Identified parameters beyond this, root mean square in units of their prior standard deviations, do not belong to a
@@ -45,59 +35,34 @@ _OTHER = 6.0  # tolerances
 _POSES = 50  # number of poses for judging tolerances
 
 
-def calibrate_and_object(
-    measurements: Measurements,
-    errors: GeometricErrors,
-    options: Options,
-    progress: Callable[[int, int], None] = lambda done, of: None,
-) -> tuple[Calibration, HeldOut | None, list[str]]:
-    """Calibrate a machine and judge the result: return it with its cross-validation and the objections to it.
-
-    The last objection is the most likely cause, if one of the usual mistakes explains it.
-    `progress` is called with the number of steps done and the total.
-
-    Raises:
-        CalibrationRefusedError: these measurements cannot give a calibration.
-    """
-    try:
-        calibration = calibrate(measurements, errors, options)
-        progress(1, 2)
-        held_out = held_out_errors(calibration) if calibration.can_be_judged else None
-        if held_out is not None:
-            calibration = calibration.with_scatter(held_out.scatter)
-        reasons = objections(calibration, held_out)
-    except (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError) as error:
-        raise CalibrationRefusedError([str(error), *_likeliest(measurements, errors, options.eta)]) from error
-    progress(2, 2)
-    if reasons:
-        tolerances = 1.0 if strain(calibration) > STRAIN else PRIOR
-        reasons += _likeliest(measurements, errors, options.eta, tolerances)
-    else:
-        _warn_of_other_parts(calibration, measurements, changed=_warn_of_noise(calibration))
-    return calibration, held_out, reasons
-
-
-def _warn_of_noise(calibration: Calibration) -> bool:
-    """Warn if residuals do not match the measurements' stated noise, and say why that may be.
-
-    Returns:
-        Whether a change in the middle of the measurements explains it.
-    """
+def doubts(calibration: Fit, measurements: Measurements) -> Iterator[str]:
+    """Yield what is doubtful about a calibration that is not refused: its noise, and parts far from the description."""
     found, eta = calibration.identification, calibration.options.eta
     shown, poses = found.settled[found.trusted], found.poses[found.trusted]
-    if found.noise_factor > _NOISY and (change := change_in_the_middle(shown, poses, eta)):
-        logger.warning("residuals are %.3g times the noise: most likely %s", found.noise_factor, change)
-        return True
-    if found.noise_factor > _LOUD:
-        logger.warning(
-            "%s: %seffects that the parameters do not describe, rows of another state of the machine, or sigmas that "
-            "are too small",
-            _noise_in_words(calibration),
-            _rounded(found.measurements),
+    noise = _noise_in_words(calibration)
+    change = change_in_the_middle(shown, poses, eta) if found.noise_factor > _NOISY else ""
+    if change:
+        yield f"residuals are {found.noise_factor:.3g} times the noise: most likely {change}"
+    elif found.noise_factor > _LOUD:
+        yield (
+            f"{noise}: {_rounded(found.measurements)}effects that the parameters do not describe, rows of another "
+            "state of the machine, or sigmas that are too small"
         )
-    elif problem := _noise_in_words(calibration):
-        logger.warning("%s", problem)
-    return False
+    elif noise:
+        yield noise
+    compensation = calibration.compensation
+    if compensation.values is None:
+        return
+    errors = compensation.errors
+    parts = [
+        f"{name} ({1e3 * value:.3g} m{parameter.unit}, {abs(value) / parameter.tolerance:.0f} tolerances)"
+        for name, value, parameter in zip(errors.names, compensation.values, errors.parameters, strict=True)
+        if abs(value) > _OTHER * parameter.tolerance
+    ]
+    if parts:
+        cause = ["most likely that change"] if change else likeliest_cause(measurements, errors, eta, 1.0)
+        cause = cause or ["none of the usual mistakes explains it"]
+        yield f"far from the description: {', '.join(parts)}. Another part, or a mistake? {cause[0].capitalize()}"
 
 
 def _rounded(measurements: Measurements) -> str:
@@ -113,7 +78,7 @@ def _rounded(measurements: Measurements) -> str:
     return words
 
 
-def _noise_in_words(calibration: Calibration) -> str:
+def _noise_in_words(calibration: Fit) -> str:
     """Say how much larger or smaller than the noise the residuals are; "" if about as large."""
     found = calibration.identification
     if found.noise_factor > _LOUD:
@@ -128,28 +93,8 @@ def _noise_in_words(calibration: Calibration) -> str:
     return ""
 
 
-def _warn_of_other_parts(calibration: Calibration, measurements: Measurements, *, changed: bool) -> None:
-    """Warn of parameters too far off for their tolerances, and name the mistake that would explain them."""
-    found = calibration.compensation
-    if found.values is None:
-        return
-    parts = [
-        f"{name} ({1e3 * value:.3g} m{parameter.unit}, {abs(value) / parameter.tolerance:.0f} tolerances)"
-        for name, value, parameter in zip(found.errors.names, found.values, found.errors.parameters, strict=True)
-        if abs(value) > _OTHER * parameter.tolerance
-    ]
-    if parts:
-        cause = ["most likely that change"] if changed else []
-        cause = cause or _likeliest(measurements, found.errors, calibration.options.eta, 1.0)
-        logger.warning(
-            "far from the description: %s. Another part, or a mistake? %s",
-            ", ".join(parts),
-            (cause or ["none of the usual mistakes explains it"])[0].capitalize(),
-        )
-
-
-def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
-    """Return the objections to a calibration and its cross-validation, one sentence each; [] if there are none."""
+def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
+    """Return why a calibration and its cross-validation are refused, one sentence each; [] if they are not."""
     found, errors = calibration.identification, calibration.compensation.errors
     reasons = []
     poses = int(found.measurements.pose_numbers.max()) + 1
@@ -219,14 +164,14 @@ def _too_few(found: Identification) -> str:
     return f"{counts}: no redundancy remains to check the result"
 
 
-def _misfit(calibration: Calibration) -> float:
+def _misfit(calibration: Fit) -> float:
     """Return the tip error that the identified parameters leave, median over the visits [m]."""
     found = calibration.identification
     seen = seen_errors(found.settled, found.poses[found.settled.first_rows], calibration.options.eta)
     return float(np.median(np.linalg.norm(seen.errors, axis=1)))
 
 
-def strain(calibration: Calibration) -> float:
+def strain(calibration: Fit) -> float:
     """Return how far the parameters are from the description, in units of their prior standard deviations.
 
     Root mean square over the combinations that the measurements determine.
@@ -239,7 +184,9 @@ def strain(calibration: Calibration) -> float:
     return float(np.sqrt(np.sum(scaled**2) / max(determined, 1.0)))
 
 
-def _likeliest(measurements: Measurements, errors: GeometricErrors, eta: float, tolerances: float = PRIOR) -> list[str]:
+def likeliest_cause(
+    measurements: Measurements, errors: GeometricErrors, eta: float, tolerances: float = PRIOR
+) -> list[str]:
     """Describe the most likely of the usual mistakes, given a machine this many tolerances off; [] for none."""
     try:
         usual = _possible_error(errors, measurements, eta, 1.0)

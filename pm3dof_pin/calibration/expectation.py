@@ -1,0 +1,302 @@
+"""What to expect of a calibrated machine, what was not seen, and what to do next.
+
+The uncertainty budget lists the contribution of each source to the variance of the tip. With the information I on all
+parameters, the prior information L and C = (I + L)^-1, the covariance is C I C, due to the instrument's noise, plus
+C L C, due to what was not measured. The contribution of an unknown frame and of unknown targets is the difference to a
+fit in which they are known. Accuracy and repeatability of repeated poses are as in ISO 9283.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.special
+
+from pm3dof_pin.calibration.fit import Fit
+from pm3dof_pin.calibration.held_out import HeldOut
+from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
+from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
+from pm3dof_pin.calibration.scatter import COVERAGE
+from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
+from pm3dof_pin.errors.pose_error import pose_difference, tip_weights
+from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.measuring.nuisances import datum_motions
+from pm3dof_pin.typing import Array, Indices, Mask
+
+_POSES = 60  # number of poses of the workspace
+_WHOLE = 0.995  # fraction of a correction that counts as all
+_POORLY_DESCRIBED = 2.0  # noise factor from which the parameters do not describe the machine
+_MIN_VISITS = 3  # of a pose, for a row in the table
+_FALSE_ALARM = 1e-3  # probability of reporting drift or hysteresis if there is none
+
+
+@dataclass(frozen=True, eq=False)
+class Repeatability:
+    """Scatter of repeated visits."""
+
+    #: tip error relative to the machine's own mean, without the measurements' noise, root mean square [m]
+    tip_sigma: float
+    freedom: int  #: repeated visits, without the first of each pose
+    poses: Indices  #: numbers of the poses visited three times or more, shape=(k,)
+    visits: Indices  #: number of visits of each, shape=(k,)
+    accuracy: Array  #: AP of each, distance of the mean position from the commanded one, shape=(k,) [m]
+    #: RP of each, mean distance from that mean plus three standard deviations of it, shape=(k,) [m]
+    repeatability: Array
+
+    @classmethod
+    def from_fit(cls, calibration: Fit) -> Repeatability | None:
+        """Compute the repeatability of a machine; None if no pose was visited twice.
+
+        Identified drift and hysteresis are removed for the scatter, but not for the table.
+        """
+        found, eta = calibration.identification, calibration.options.eta
+        measured, settled = found.measurements[found.trusted], found.settled[found.trusted]
+        visits = settled.visits
+        numbers = visits.pose_numbers
+        counts = np.bincount(numbers)
+        if counts.max(initial=0) < 2:
+            return None
+        nominal = calibration.compensation.errors.robot.forward(visits.commands)
+        seen, raw = seen_errors(settled, nominal, eta), seen_errors(measured, nominal, eta).errors
+        means = np.array([seen.errors[numbers == k].mean(axis=0) for k in range(len(counts))])
+        freedom = int(np.sum(counts - 1))
+        scatter = float(np.sum((seen.errors - means[numbers]) ** 2)) / freedom
+        noise = float(np.mean(np.einsum("nii->n", seen.covariances)))
+        often = np.flatnonzero(counts >= _MIN_VISITS)
+        accuracy, spread = [], []
+        for pose in often:
+            positions = raw[numbers == pose][:, :3]
+            distances = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
+            accuracy.append(float(np.linalg.norm(positions.mean(axis=0))))
+            spread.append(float(distances.mean() + 3.0 * distances.std(ddof=1)))
+        tip_sigma = float(np.sqrt(max(0.0, scatter - noise)))
+        return cls(tip_sigma, freedom, often, counts[often], np.array(accuracy), np.array(spread))
+
+
+@dataclass(frozen=True)
+class Systematic:
+    """Drift or hysteresis."""
+
+    kind: str  #: "drift" or "hysteresis"
+    tip: float  #: tool motion due to it, tip-weighted, root mean square over the measured poses [m]
+    tip_sigma: float  #: standard deviation of that by the parameters' covariance [m]
+    sure: bool  #: whether it is significant
+
+    @classmethod
+    def all_from_fit(cls, calibration: Fit) -> list[Systematic]:
+        """Return the effects found from times and directions of approach; none without such data."""
+        found = calibration.identification
+        drives, weights = tool_motions_by_drives(found.poses), tip_weights(calibration.options.eta)
+        answers = []
+        for kind in ("drift", "hysteresis"):
+            columns = found.nuisances.columns(kind)
+            if not columns.size:
+                continue
+            values = found.nuisance_values[columns]
+            covariance = found.nuisance_covariance(kind)
+            base = datum_motions(found.poses)[:, :, : 6 if kind == "drift" else 0]
+            effects = np.concatenate([base, drives], axis=2) * weights[:, None]
+            tip = float(np.sqrt(np.mean(np.sum((effects @ values) ** 2, axis=1))))
+            sigma = float(np.sqrt(np.mean(np.einsum("nij,jk,nik->n", effects, covariance, effects))))
+            # information gained beyond the prior, for as many parameters as were determined
+            scales = (found.nuisances.scales * found.nuisances.sigmas)[columns]
+            gained = np.linalg.pinv(covariance) - np.diag(scales**-2.0)
+            determined = max(1.0, len(columns) - float(np.sum(np.diag(covariance) / scales**2)))
+            statistic = float(values @ gained @ values)
+            sure = bool(scipy.special.gammaincc(0.5 * determined, 0.5 * max(statistic, 0.0)) < _FALSE_ALARM)
+            answers.append(cls(kind, tip, sigma, sure))
+        return answers
+
+
+@dataclass(frozen=True, eq=False)
+class Expectation:
+    """Three lines, and the numbers behind them."""
+
+    text: str  #: what to expect of the machine
+    not_seen: str  #: what was not seen
+    next: str  #: what to do next
+    #: with a probability of 95 %, 95 % of the poses of the workspace have a tip error of the corrected machine below
+    #: this [m]
+    bound: float
+    #: interval of this machine's tip error, root mean square over the workspace, with the same probability [m]; None
+    #: for a learning method, and for a machine that its parameters do not describe
+    interval: tuple[float, float] | None
+    budget: Mapping[str, float]  #: contribution of each source to that error, root mean square over the workspace [m]
+    systematic: Sequence[Systematic]  #: drift and hysteresis, where rows have times or directions
+    repeated: Repeatability | None  #: from poses visited several times; None if there are none
+
+    @classmethod
+    def from_fit(
+        cls, calibration: Fit, held_out: HeldOut | None = None, validation: HeldOut | None = None
+    ) -> Expectation:
+        """Judge a calibration in words, using its cross-validation and other measurements if available."""
+        compensation = calibration.compensation
+        poses = reachable_poses(compensation.errors.robot, _POSES, np.random.default_rng(0))
+        conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
+        answer = compensation.compensate(poses, conditions, on_failure="nan")
+        reached = np.isfinite(answer.error_bound)
+        bound = float(np.quantile(answer.error_bound[reached], COVERAGE))
+        scope, total = "rms over the workspace", _rms(answer.predicted_error[reached])
+        if total > bound:  # a few poses, such as those near singularities of an arm, would dominate
+            worst = 1e6 * float(np.nanmax(answer.predicted_error))
+            scope = f"rms over the workspace except for the worst poses, up to {worst:.0f} µm"
+            reached &= answer.error_bound <= bound
+            total = _rms(answer.predicted_error[reached])
+        repeated = Repeatability.from_fit(calibration)
+        budget = _uncertainty_budget(calibration, poses[reached], repeated)
+        interval = calibration.tip_interval(poses[reached])
+        if interval is not None:
+            scope += f", {1e6 * interval[0]:.0f} to {1e6 * interval[1]:.0f} with 95 % probability"
+        expect = f"a tip error of {1e6 * total:.0f} µm ({scope}), below {1e6 * bound:.0f} µm at 95 % of the poses"
+        if 2.0 * budget["parameters"] ** 2 > total**2 - budget["floor"] ** 2:
+            expect += (
+                "; most of the uncertainty was not measured and is the same at all poses, so for 95 % of machines such "
+                "bounds hold nearly everywhere, and for the others hardly anywhere"
+            )
+        errors, source = (held_out, "held-out poses") if validation is None else (validation, "the validation file")
+        if errors is not None:
+            before, after = _rms(errors.before), _rms(errors.after)
+            expect += (
+                f"; on {source} it went from {1e6 * before:.0f} to {1e6 * after:.0f} µm, noise included, and "
+                f"{100.0 * errors.within:.0f} % of the poses were within their 95 % bounds"
+            )
+        return cls(
+            expect,
+            "; ".join(_unseen(calibration)) or "nothing that moves the tool",
+            _advice(calibration, validation, budget),
+            bound,
+            interval,
+            budget,
+            Systematic.all_from_fit(calibration),
+            repeated,
+        )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _unseen(calibration: Fit) -> list[str]:
+    found = calibration.identification
+    shown = found.settled.visits
+    nominal = calibration.compensation.errors.robot.forward(shown.commands)
+    seen = int(np.linalg.matrix_rank(control_inverse(pseudo_errors(found.settled, nominal).control)).max())
+    drives, hidden = nominal.commands.shape[1], []
+    if seen < drives:
+        hidden.append(f"{drives - seen} of the {drives} motions of the drives at a pose, known only from the model")
+    missing = len(found.identifiability.names) - found.identifiability.rank
+    if missing:
+        hidden.append(f"{missing} combinations of parameters, listed in the report")
+    if (part := calibration.part_corrected) < _WHOLE:
+        hidden.append(f"{100.0 * (1.0 - part):.0f} % of the correction, left out because it could also do harm")
+    if found.nuisances.columns("frame").size:
+        hidden.append("the location of the base, except through the machine's own motion")
+    if found.nuisances.columns("targets").size:
+        hidden.append("a shift or rotation common to all targets, equivalent to one of the tool")
+    counts = np.bincount(found.measurements.visits.pose_numbers)
+    if counts.max() < 2:
+        hidden.append("repeatability (no pose was measured twice)")
+    unapproached = found.measurements.approaches is None
+    if found.measurements.times is None:
+        hidden.append(f"drift{' and hysteresis' if unapproached else ''} (the file has no times)")
+    elif unapproached:
+        hidden.append("hysteresis (the measurements have no approaches)")
+    return hidden
+
+
+def _advice(calibration: Fit, validation: HeldOut | None, budget: Mapping[str, float]) -> str:
+    found = calibration.identification
+    if found.noise_factor > _POORLY_DESCRIBED:
+        return (
+            f"find what the parameters do not describe, as residuals are {found.noise_factor:.1f} times the noise: "
+            "temperatures, loads, backlash, errors missing in the error file, or sigmas that are too small"
+        )
+    largest = max(budget, key=lambda name: budget[name])
+    more = "a learned part (method lm+gp), or " if calibration.compensation.learned is None else ""
+    if calibration.compensation.values is None:
+        more = "parameters (method lm+gp), which show what no command corrects, or "
+    advice = {
+        "floor": "cannot be corrected by commands: use better parts (error-map names them)",
+        "instrument": "is measurement noise: measure more poses, or use a better instrument",
+        "frame": "is due to the instrument's frame: measure poses all over the workspace, or the base itself",
+        "targets": "is due to target positions, drift or hysteresis: measure the targets themselves, or more rows",
+        "parameters": "is due to unobserved parameters: measure full poses, or targets away from the tool point",
+        "learned": "is due to the learned part: measure more poses",
+        "unmodelled": f"is unmodelled: use {more}known temperatures and loads",
+        "repeatability": "is repeatability, which no calibration improves",
+    }[largest]
+    text = f"the largest part, {1e6 * budget[largest]:.0f} µm, {advice}"
+    return text if validation is not None else f"{text}; and validate with a second file of measurements (--validation)"
+
+
+def _uncertainty_budget(calibration: Fit, poses: Poses, repeated: Repeatability | None) -> dict[str, float]:
+    """Return each source's contribution to the corrected machine's tip error, root mean square over desired poses [m].
+
+    "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": their positions, with
+    drift and hysteresis; "parameters": unobserved ones; "learned"; "unmodelled"; "repeatability". The squares sum up to
+    the square of the expected tip error.
+    """
+    compensation, found = calibration.compensation, calibration.identification
+    weights = tip_weights(compensation.eta)
+    conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
+    model = compensation.model_poses(poses)
+    parts = dict.fromkeys(("floor", "instrument", "frame", "targets", "parameters", "learned"), 0.0)
+    if compensation.values is not None:
+        nearest = nearest_poses(model, poses.transforms, compensation.eta, on_failure="nan")
+        left = pose_difference(poses.transforms, nearest.transforms) * weights
+        parts["floor"] = float(np.mean(np.sum(left**2, axis=1)))
+        motions = np.concatenate(
+            [sensitivities(found.errors, model, found.values).errors, datum_motions(model)], axis=2
+        )
+        effects = (motions * weights[:, None]).reshape(-1, motions.shape[2])
+        square = effects.T @ effects / len(poses)
+        parts |= _of_parameters(calibration, square)
+        left_out = np.zeros(motions.shape[2])
+        left_out[: len(found.values)] = found.values - compensation.values
+        parts["parameters"] += float(left_out @ square @ left_out)
+    if compensation.learned is not None:
+        control = command_jacobians(model) * weights[:, None]
+        spread = compensation.learned.uncertainties(model.commands, conditions)
+        parts["learned"] = float(np.mean(np.sum((control * spread[:, None, :]) ** 2, axis=(1, 2))))
+    scatter = compensation.scatter.tip_error**2
+    parts["repeatability"] = 0.0 if repeated is None else min(scatter, repeated.tip_sigma**2)
+    parts["unmodelled"] = scatter - parts["repeatability"]
+    return {name: float(np.sqrt(max(value, 0.0))) for name, value in parts.items()}
+
+
+def _of_parameters(calibration: Fit, square: Array) -> dict[str, float]:
+    """Return variances [m^2], given the mean square of the tip's motions by parameters, base and tool."""
+    found, count = calibration.identification, len(calibration.identification.errors)
+    machine = found.rows.shape[2] - len(found.nuisances)
+    scaled = np.sqrt(found.certainties)[:, :, None] * found.rows
+    matrix = scaled.reshape(-1, scaled.shape[2])
+    units = np.concatenate([found.errors.tolerances, np.ones(machine - count), found.nuisances.scales])
+    before = np.concatenate([np.full(count, found.prior), np.ones(machine - count), found.nuisances.sigmas])
+    datum = found.seen_map
+
+    def variances(known: Mask) -> tuple[float, float]:
+        """Return the tip variances due to noise and to missing information, given that some parameters are known."""
+        free = np.flatnonzero(~known)
+        information, knowledge = matrix[:, free].T @ matrix[:, free], np.diag(before[free] ** -2.0)
+        covariance = np.linalg.pinv(information + knowledge)
+        knowledge[free < count] *= (1.0 + found.prior_error) ** 2
+        effects = datum[:, free] * units[free]
+        tip = effects.T @ square @ effects
+        noise, ignorance = (float(np.trace(tip @ covariance @ part @ covariance)) for part in (information, knowledge))
+        return noise, ignorance
+
+    columns = np.arange(found.rows.shape[2])
+    frame = machine + found.nuisances.columns("frame")
+    noise, ignorance = variances(columns >= machine)
+    with_frame = sum(variances((columns >= machine) & ~np.isin(columns, frame)))
+    total = sum(variances(columns < 0))
+    return {
+        "instrument": noise,
+        "parameters": ignorance,
+        "frame": max(0.0, with_frame - noise - ignorance),
+        "targets": max(0.0, total - with_frame),
+    }

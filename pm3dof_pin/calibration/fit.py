@@ -1,0 +1,237 @@
+"""The fit of a calibration to measurements, by one of five methods: identification first, then learning.
+
+It trusts the measurements; :func:`pm3dof_pin.calibration.calibrate.calibrate` judges them and the result.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+
+from pm3dof_pin.calibration.caution import Gain, cautious
+from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.identification import PRIOR, Identification, identify, prior_from_data
+from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_model
+from pm3dof_pin.calibration.linearisation import Loss
+from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
+from pm3dof_pin.calibration.scatter import Scatter
+from pm3dof_pin.errors.command_correction import weighted_control
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.measurements import Measurements
+
+logger = logging.getLogger(__name__)
+
+Method = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
+METHODS: tuple[Method, ...] = get_args(Method)
+
+MIN_POSES = 4
+"""Fewest measurements to learn from."""
+
+SMOOTH = 1.5
+"""Noise factor from which the remaining errors are taken to vary smoothly over the poses instead of scattering."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a calibration."""
+
+    #: "lm" (parameters, least squares), "nn" (neural network), "gp" (Gaussian process), or both
+    method: Method = "lm+gp"
+    seed: int = 0  #: random seed of networks and folds
+    eta: float = TIP_LENGTH  #: weight of the orientation in the tip error [m/rad]
+    #: prior standard deviation of the parameters, in units of their tolerances; None for the value, from 1 to 3, under
+    #: which the measurements are most likely
+    prior: float | None = None
+    loss: Loss = "tukey"  #: loss of the identification
+
+    def __post_init__(self) -> None:
+        """Check the method."""
+        if self.method not in METHODS:
+            raise InvalidValueError("method", self.method, f"one of {', '.join(METHODS)}")
+
+    @property
+    def identifies(self) -> bool:
+        """Whether the method identifies parameters."""
+        return "lm" in self.method
+
+    @property
+    def learns(self) -> bool:
+        """Whether the method learns a correction."""
+        return self.method != "lm"
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What was fitted to measurements: parameters, a learned part, and the compensation by both."""
+
+    options: Options  #: options used, with the prior that was chosen
+    measurements: Measurements  #: the measurements
+    #: identified parameters; for methods without parameters, used only to find outliers
+    identification: Identification
+    compensation: Compensation  #: corrects the commands
+    warnings: tuple[str, ...] = ()  #: what measurements and fit leave in doubt
+
+    @cached_property
+    def gain(self) -> Gain | None:
+        """Gain of the corrections over the measured commands; None for a method without parameters."""
+        if not self.options.identifies:
+            return None
+        whole = Compensation.of(self.identification, self.options.eta)
+        return Gain.of(whole, self.measurements.visits.commands)
+
+    @property
+    def chance_of_harm(self) -> float:
+        """Probability that corrected commands are worse than uncorrected ones, given the identified parameters.
+
+        See :mod:`pm3dof_pin.calibration.caution`. 0 for a method without parameters.
+        """
+        values = self.compensation.values
+        return 0.0 if self.gain is None or values is None else self.gain.chance_of_harm(values)
+
+    @property
+    def part_corrected(self) -> float:
+        """Fraction of the parameters' correction that is certain enough to be applied; 1 for all of it."""
+        values = self.compensation.values
+        return 1.0 if self.gain is None or values is None else self.gain.part(values)
+
+    @property
+    def scatters(self) -> bool:
+        """Whether the remaining errors scatter from pose to pose: the noise factor is below :data:`SMOOTH`."""
+        return self.identification.noise_factor < SMOOTH
+
+    def tip_interval(self, wanted: Poses) -> tuple[float, float] | None:
+        """Return :meth:`~pm3dof_pin.calibration.compensation.Compensation.rms_interval` if it :attr:`scatters`."""
+        return self.compensation.rms_interval(wanted) if self.scatters else None
+
+    @property
+    def can_be_judged(self) -> bool:
+        """Whether there are enough poses for a cross-validation, with enough to learn from in each fold."""
+        return int(self.measurements[self.identification.trusted].pose_numbers.max(initial=-1)) > MIN_POSES
+
+    def with_scatter(self, scatter: Scatter) -> Fit:
+        """Return the calibration with the error scatter found by a cross-validation."""
+        return replace(self, compensation=replace(self.compensation, scatter=scatter))
+
+
+def fit(measurements: Measurements, errors: GeometricErrors, options: Options | None = None) -> Fit:
+    """Fit parameters and a learned part to measurements.
+
+    Measurements that the identification rejects as outliers are not used for learning either.
+
+    Args:
+        measurements: poses, positions or points.
+        errors: the parameters, with their tolerances.
+        options: method and settings.
+
+    Raises:
+        InvalidValueError: too few measurements, or measurements of another frame or machine.
+        ConvergenceError: the parameters did not converge.
+        SingularConfigurationError: at some command the tool can move with all drives locked.
+    """
+    options = options or Options()
+    prior = PRIOR if options.prior is None else options.prior
+    identification = identify(measurements, errors, prior=prior, loss=options.loss)
+    if options.prior is None:
+        prior, error = prior_from_data(identification)
+        shown, start = identification.measurements, identification
+        identification = identify(shown, errors, prior=prior, prior_error=error, loss=options.loss, start=start)
+    options = replace(options, prior=identification.prior)
+    shown = identification.settled[identification.trusted]
+    nominal = errors.robot.forward(shown.visits.commands)
+    warnings = (*_gaps(identification), *_unseen_motions(shown, nominal, options))
+    for warning in warnings:
+        logger.warning("%s", warning)
+    compensation = compensation_from(shown, errors, options, identification if options.identifies else None)
+    if options.identifies:
+        shown = compensation.without_loads(shown)
+    compensation = replace(compensation, scatter=_scatter(compensation, shown, identification))
+    return Fit(options, identification.measurements, identification, compensation, warnings)
+
+
+def _scatter(compensation: Compensation, shown: Measurements, identification: Identification) -> Scatter:
+    """Return the noise-free scatter that remains in the calibration measurements.
+
+    In the directions that drives correct, the learned part states its own uncertainty.
+    """
+    visits = shown.visits
+    nominal = compensation.errors.robot.forward(visits.commands)
+    model = compensation.model_poses(nominal)
+    found, control = pseudo_errors(shown, model, compensation.eta), weighted_control(model, compensation.eta)
+    units = [command.unit for command in nominal.robot.commands]
+    if compensation.learned is not None:
+        across = found.seen.shown - found.control @ control_inverse(found.control)
+        covariances = across @ found.seen.covariances @ np.swapaxes(across, 1, 2)
+        return Scatter.of(found.left, covariances, across, np.zeros_like(control), units)
+    used = float(len(identification.errors)) if compensation.values is not None else 0.0
+    freedom = max(0.2, 1.0 - used / max(1.0, float(np.einsum("nii->", found.seen.shown))))
+    seen = found.at_commands
+    return Scatter.of(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control, units)
+
+
+def compensation_from(
+    measurements: Measurements,
+    errors: GeometricErrors,
+    options: Options,
+    identification: Identification | None,
+) -> Compensation:
+    """Combine identified parameters (None for the robot as described) with a part learned from measurements.
+
+    The parameters' correction is reduced to what is certain enough: see :mod:`pm3dof_pin.calibration.caution`.
+
+    Raises:
+        InvalidValueError: too few measurements to learn from.
+    """
+    compensation = Compensation(errors, eta=options.eta)
+    if identification is not None:
+        whole = Compensation.of(identification, options.eta)
+        compensation = cautious(whole, measurements.visits.commands)
+        measurements = compensation.without_loads(measurements)
+    if not options.learns:
+        return compensation
+    visits = measurements.visits
+    if len(visits) < MIN_POSES:
+        expected = f"at least {MIN_POSES} to learn a pseudo-error from"
+        raise InvalidValueError("measurements", f"{len(visits)} poses", expected)
+    nominal = errors.robot.forward(visits.commands)
+    found = pseudo_errors(measurements, compensation.model_poses(nominal), options.eta)
+    scale = InputScale.of(nominal.robot, visits)
+    inputs = scale.scaled(visits.commands, visits.conditions)
+    variances = np.einsum("nii->ni", found.covariances)
+    model = fitted_model(options.method, inputs, found.deviations, variances, options.seed)
+    return replace(compensation, learned=LearnedPart(model, scale))
+
+
+def _unseen_motions(measurements: Measurements, nominal: Poses, options: Options) -> Iterator[str]:
+    """Say which motions of the drives the measurements do not show."""
+    try:
+        found = pseudo_errors(measurements, nominal, options.eta)
+    except UnreachablePoseError as error:
+        problem = "not reachable by any commands"
+        raise InvalidValueError("poses measured", problem, "poses near the commanded ones") from error
+    seen, drives = int(np.linalg.matrix_rank(control_inverse(found.control)).max()), found.control.shape[2]
+    if seen < drives and not measurements.joints:  # encoders show more, but of the tool only by the model
+        advice = "" if measurements.measured == "pose" else ": measure poses, or targets away from the tool point"
+        yield f"each measurement shows {seen} of the {drives} motions of the drives{advice}"
+    if options.learns and measurements.points.any():
+        yield "a single target does not show full poses, so a learned correction is poor; use method lm"
+
+
+def _gaps(identification: Identification) -> Iterator[str]:
+    """Say that equations are missing, and which rows are outliers."""
+    count, equations = len(identification.errors), int(identification.measurements.seen.sum())
+    if equations < count:
+        yield (
+            f"{len(identification.measurements)} measurements give {equations} equations for {count} parameters, too "
+            f"few: {identification.identifiability.rank} combinations are identified, the rest stay near their nominal "
+            "values, within the tolerances"
+        )
+    if identification.outliers:
+        yield f"outliers, not used for learning: lines {', '.join(map(str, identification.outlier_lines))}"
