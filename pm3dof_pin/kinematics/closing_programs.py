@@ -12,9 +12,10 @@ from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.cache import compiled, stored
 from pm3dof_pin.programs.checks import checks_program
 from pm3dof_pin.programs.closing import Task, closing_program, damped_closing_program
-from pm3dof_pin.programs.llvm import Compiled, Iteration
+from pm3dof_pin.programs.llvm import Compiled, Iteration, Walked
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
+from pm3dof_pin.programs.walk import Walk, control_program, start_program
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 if TYPE_CHECKING:
@@ -36,6 +37,10 @@ class BoundProgram(NamedTuple):
     def __call__(self, inputs: Matrix, out: Matrix | None = None) -> Matrix:
         """Evaluate the program at many poses, shape=(n, number of outputs)."""
         return self.compiled(inputs, self.parameters, out)
+
+    def walk(self, starts: Matrix, targets: Matrix, shortest: float) -> Walked:
+        """Walk from starts to targets, see :meth:`~pm3dof_pin.programs.llvm.Compiled.walk`."""
+        return self.compiled.walk(starts, targets, self.parameters, shortest=shortest, threads=1)
 
     def iterate(self, inputs: Matrix, tolerance: float, max_steps: int) -> Iteration:
         """Repeat the program until its residual is small."""
@@ -75,35 +80,57 @@ class ProgramSource:
         """Return whether a variant of the robot has the same structure."""
         return robot is self._robot or geometry.structure(robot) == self._structure
 
-    def step(self, robot: Robot, task: Task, *, damped: bool = False) -> BoundProgram:
-        """Return the program of a solver step, damped or not, that closes the loops of the robot or a variant.
+    def walk(self, robot: Robot, task: Task) -> BoundProgram:
+        """Return the walk that closes the loops of the robot or a variant, and its Newton step.
 
         Raises:
             ProgramError: there is no program for the robot, or it disagrees with Pinocchio.
         """
-        trace = damped_closing_program if damped else closing_program
+        own, samples = self._robot, self.samples
+
+        def trace(dense: bool) -> Walk:
+            step = self._stored(f"step {task}", dense, lambda: closing_program(own, task, samples, dense=dense))
+            start = self._stored(f"start {task}", dense, lambda: start_program(own, task, samples, dense=dense))
+            control = self._stored(f"control {task}", dense, lambda: control_program(own, start))
+            return Walk(step, start.with_parameters(step.parameters), control)
+
+        return self._bound(robot, f"walk {task}", trace)
+
+    def damped_step(self, robot: Robot, task: Task) -> BoundProgram:
+        """Return the damped step that closes the loops of the robot or a variant; errors as in :meth:`walk`."""
+        name = f"damped step {task}"
+        own, samples = self._robot, self.samples
         return self._bound(
             robot,
-            f"step {task} {damped}",
-            lambda dense: trace(self._robot, task, self.samples, dense=dense),
+            name,
+            lambda dense: self._stored(name, dense, lambda: damped_closing_program(own, task, samples, dense=dense)),
         )
 
     def checks(self, robot: Robot) -> BoundProgram:
         """Return the program that checks closed configurations, see :func:`~pm3dof_pin.programs.checks.checks_program`.
 
-        Arguments and errors as in :meth:`step`.
+        Arguments and errors as in :meth:`walk`.
         """
-        return self._bound(robot, "checks", lambda dense: checks_program(self._robot, self.samples, dense=dense))
+        own, samples = self._robot, self.samples
+        return self._bound(
+            robot,
+            "checks",
+            lambda dense: self._stored("checks", dense, lambda: checks_program(own, samples, dense=dense)),
+        )
 
-    def _bound(self, robot: Robot, name: str, trace: Callable[[bool], Program]) -> BoundProgram:
-        numbers, dense = self._geometry_of(robot)
+    def _stored(self, name: str, dense: bool, trace: Callable[[], Program]) -> Program:
+        """Return a program from the cache, or trace it after a comparison with Pinocchio."""
 
         def traced() -> Program:
             verify(self._robot, self.samples, dense=dense)
-            return trace(dense)
+            return trace()
 
+        return stored(f"{name} {dense} {self._content}", traced)
+
+    def _bound(self, robot: Robot, name: str, trace: Callable[[bool], Program | Walk]) -> BoundProgram:
+        numbers, dense = self._geometry_of(robot)
         if (name, dense) not in self._known:
-            self._known[name, dense] = compiled(stored(f"{name} {dense} {self._content}", traced))
+            self._known[name, dense] = compiled(trace(dense))
         found = self._known[name, dense]
         return BoundProgram(found, geometry.chosen(numbers, found.program.parameters))
 

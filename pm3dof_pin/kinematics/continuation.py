@@ -32,34 +32,28 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.careful import assemble_at
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
-from pm3dof_pin.kinematics.coordinate_units import turns_of, units_of
+from pm3dof_pin.kinematics.coordinate_units import units_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.pose_search import Solution
-from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.closing import Task, regularity_and_mode
-from pm3dof_pin.programs.drivers import HISTORY
+from pm3dof_pin.programs.llvm import Walked
+from pm3dof_pin.programs.llvm_ir import HISTORY
+from pm3dof_pin.programs.walk import NEARLY_CLOSED, REACHED, SHORTEST_LEG
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
-_LEG = 0.1  # of walks [rad, characteristic lengths]
-_SHORTEST_LEG = 1.0 / 1024.0  # relative to that
-_SHORTEST_QUICK_LEG = 0.25  # relative to that
-_NEARLY_CLOSED = 1e-8  # from here one quadratic step reaches rounding
-_STEPS = 6
-_LAST_STEPS = 50  # for the last leg: near a singular pose the first steps only halve the distance
+_SHORTEST_QUICK_LEG = 0.25  # relative to the usual one
+_LAST_STEPS = 50  # of damped poses: near a singular pose the first steps only halve the distance
 _DAMPED_STEPS = 50  # per round
 _DAMPED_ROUNDS = 20
 _AT_REST = 0.99  # ratio of squared errors after and before a round that has settled
 _DAMPING = 0.1  # of the first damped step
-_JUMP = 0.3  # largest distance of a joint from its prediction in a leg [rad, characteristic lengths]
-_MARCH_JUMP = 0.1  # the same between neighbours of a grid
 _GREATEST_SHARE = 20.0  # largest weight in a prediction; that of equally spaced poses is 6
 _WAYPOINTS = 1000
 _WIDTH = 3.0  # of the waypoint lattice on both sides of home, unless joints end earlier [characteristic lengths]
 _AT_ONCE = 4096  # poses per block, to stay in cache
-_SINGULAR = 1e-5  # largest regularity of a singular pose
 _REGULAR = 1e-3  # least regularity of a configuration well away from singular ones
 
 
@@ -80,20 +74,15 @@ class Continuation:
         self._order = sorted(range(len(self._coordinates)), key=lambda k: self._coordinates[k].joint is None)
         self._offsets = np.array([c.offset for c in self._coordinates])
         self._scales = np.array([c.scale for c in self._coordinates])
-        self._units, turns = units_of(mechanism, self._coordinates), turns_of(mechanism, self._coordinates)
-        self._angles = np.flatnonzero(np.isfinite(turns))  # periodic coordinates
-        self._turns = turns[self._angles]
-        self._linear = _linear_positions(mechanism)
+        self._units = units_of(mechanism, self._coordinates)
         self._source = source = program_source(robot)
         self._task = Task(tuple(joint.name for joint in self._given), self._tool)
-        # joints of a serial robot can be set directly, however far away
-        self._leg = _LEG if mechanism.closures or self._tool else np.inf
-        self._step = source.step(robot, self._task)
+        self._step = source.walk(robot, self._task)
         self._checks = source.checks(robot)
 
     @cached_property
     def _damped_step(self) -> BoundProgram:
-        return self._source.step(self._robot, self._task, damped=True)
+        return self._source.damped_step(self._robot, self._task)
 
     @cached_property
     def _home(self) -> Vector:
@@ -135,8 +124,7 @@ class Continuation:
             if thorough:
                 self._solve_each(q[part], targets[part], home_too=home_too)
             else:
-                left, found = self._walked(q[part], targets[part], _SHORTEST_QUICK_LEG)
-                q[part] = np.where(left[:, None] == 0.0, found, np.nan)
+                q[part] = _reached(self._walked(q[part], targets[part], _SHORTEST_QUICK_LEG))
         return self._check(q, targets)
 
     def waypoints(self, targets: Matrix) -> Matrix:
@@ -169,23 +157,14 @@ class Continuation:
 
     def _solve_each(self, q: Matrix, targets: Matrix, *, home_too: bool = False) -> None:
         """Walk from q to the targets, in place; permitted damped steps start from there and from home."""
-        left, ends = self._walked(q.copy(), targets)
-        found = self._last_leg(ends, targets, left)
+        walked = self._walked(q, targets)
+        found = _reached(walked)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
         if self._robot.closures and failed.size:
             failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]  # open at the start
         if failed.size:
-            found[failed] = self._damped(ends[failed], targets[failed], home_too=home_too)
+            found[failed] = self._damped(walked.q[failed], targets[failed], home_too=home_too)
         q[:] = found
-
-    def _last_leg(self, q: Matrix, targets: Matrix, left: Vector) -> Matrix:
-        """Return the poses at targets no farther than the shortest leg; NaN where there are none."""
-        numbers = self._given_numbers(targets)
-        found, residuals, regularity, modes, jumps = self._iterated(q, numbers, CLOSURE_TOLERANCE, _LAST_STEPS)
-        accepted = (left <= 2.0 * _SHORTEST_LEG) & (residuals <= CLOSURE_TOLERANCE) & (jumps <= _JUMP)
-        rows = np.flatnonzero(accepted & (left > 0.0) & (regularity > _SINGULAR))
-        accepted[rows] = modes[rows] == self._regularity_and_mode(q[rows])[1]
-        return np.where(accepted[:, None], found, np.nan)
 
     def _damped(self, q: Matrix, targets: Matrix, *, home_too: bool = False) -> Matrix:
         """Return the poses found by damped steps from q or else from home; NaN where these settle with an error.
@@ -212,16 +191,17 @@ class Continuation:
         rows = np.arange(len(q))
         for _ in range(_DAMPED_ROUNDS):
             before = inputs[rows, 2 * nq + 1]
-            states, residuals, _ = self._damped_step.iterate(inputs[rows], _NEARLY_CLOSED, _DAMPED_STEPS)
+            states, residuals, _ = self._damped_step.iterate(inputs[rows], NEARLY_CLOSED, _DAMPED_STEPS)
             inputs[rows, : 2 * nq + 2] = states
-            rows = rows[(residuals > _NEARLY_CLOSED) & (states[:, 2 * nq + 1] < _AT_REST * before)]
+            rows = rows[(residuals > NEARLY_CLOSED) & (states[:, 2 * nq + 1] < _AT_REST * before)]
             if not rows.size:
                 break
         moving = np.zeros(len(q), dtype=bool)
         moving[rows] = True
         ends = np.array(inputs[:, :nq])
-        near = np.flatnonzero(inputs[:, 2 * nq + 1] < _NEARLY_CLOSED)
-        ends[near] = self._iterated(ends[near], numbers[near], CLOSURE_TOLERANCE, _LAST_STEPS)[0]
+        near = np.flatnonzero(inputs[:, 2 * nq + 1] < NEARLY_CLOSED)
+        inputs = self._inputs(ends[near], numbers[near])
+        ends[near] = self._step.iterate(inputs, CLOSURE_TOLERANCE, _LAST_STEPS).states[:, :nq]
         return ends, moving
 
     def _residuals(self, q: Matrix, targets: Matrix) -> Vector:
@@ -230,36 +210,9 @@ class Continuation:
         residuals: Vector = outputs[:, -1]
         return residuals
 
-    def _walked(self, q: Matrix, targets: Matrix, shortest_leg: float = _SHORTEST_LEG) -> tuple[Vector, Matrix]:
-        """Walk as far as possible; return the number of legs left, infinite for open loops, and the ends."""
-        origins = self.read(q)
-        _, modes = self._regularity_and_mode(q, origins)
-        turns = np.round((targets[:, self._angles] - origins[:, self._angles]) / self._turns)
-        origins[:, self._angles] += self._turns * np.nan_to_num(turns)  # the shorter direction
-        distances = np.abs((targets - origins) / self._units).max(axis=1, initial=0.0)
-        legs = np.where(np.isfinite(distances), np.maximum(np.ceil(distances / self._leg), 1.0), 1.0)
-        shortest, step = shortest_leg / legs, 1.0 / legs
-        done, last_step = np.zeros(len(q)), np.zeros(len(q))
-        before = q.copy()
-        active = np.flatnonzero(np.isfinite(distances) & np.isfinite(q).all(axis=1))
-        while active.size:
-            reached = np.minimum(done[active] + step[active], 1.0)
-            reached[reached > 1.0 - 0.1 * shortest[active]] = 1.0
-            share = reached[:, None]
-            values = np.where(share == 1.0, targets[active], origins[active] * (1.0 - share) + targets[active] * share)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                ratio = np.where(last_step[active] > 0.0, (reached - done[active]) / last_step[active], 0.0)
-            predicted = self._predicted(q[active], before[active], ratio[:, None])
-            found, accepted = self._newton(predicted, self._given_numbers(values), _JUMP, _SINGULAR, modes[active])
-            advanced = active[accepted]
-            before[advanced], q[advanced] = q[advanced], found[accepted]
-            last_step[advanced] = reached[accepted] - done[advanced]
-            done[advanced] = reached[accepted]
-            step[advanced] = np.minimum(2.0 * step[advanced], 1.0 / legs[advanced])
-            rejected = active[~accepted]
-            step[rejected] *= 0.5
-            active = active[(done[active] < 1.0) & (step[active] >= shortest[active])]
-        return np.where(np.isfinite(distances), (1.0 - done) * legs, np.inf), q
+    def _walked(self, q: Matrix, targets: Matrix, shortest: float = SHORTEST_LEG) -> Walked:
+        """Walk as far as possible."""
+        return self._step.walk(q, self._given_numbers(targets), shortest)
 
     # marching
 
@@ -296,22 +249,17 @@ class Continuation:
 
     def _march_lines(self, lines: Array, numbers: Array, axis: Vector, known: int, threads: int | None) -> None:
         """March along lines of a grid, in place, shape=(n, points, nq); the first points are known."""
-        mode = 2.0 * self._home_mode
         compiled, parameters = self._step
         compiled.march(
             *(lines, numbers, parameters, _shares(axis.tobytes())[known:]),
-            tolerance=_NEARLY_CLOSED,
-            max_steps=_STEPS,
-            margins=(_REGULAR - mode, 2.0 - mode),
-            longest=_MARCH_JUMP,
+            mode=self._home_mode,
             threads=threads,
         )
 
     def _fill(self, q: Array, values: Array) -> None:
         """Find poses that a march left unsolved, by walks from home, then from solved neighbours, in place."""
         missing = np.isnan(q[..., 0])
-        left, ends = self._walked(np.tile(self._home, (int(missing.sum()), 1)), values[missing])
-        q[missing] = self._last_leg(ends, values[missing], left)
+        q[missing] = _reached(self._walked(np.tile(self._home, (int(missing.sum()), 1)), values[missing]))
         untried = np.isnan(q[..., 0])
         while untried.any():
             starts = _solved_neighbours(q)
@@ -327,30 +275,12 @@ class Continuation:
             self._solve_each(found, values[frontier])
             q[frontier] = found
 
-    def _predicted(self, q: Matrix, before: Matrix, ratio: Array | float) -> Matrix:
-        """Extrapolate from two configurations the entries of q that permit it."""
-        predicted: Matrix = q + (q - before) * (self._linear * ratio)
-        return predicted
-
     def _given_numbers(self, values: Array) -> Array:
         """Return coordinates in the form the program takes."""
         numbers: Array = np.take(values, self._order, axis=-1)
         numbers -= self._offsets[self._order]
         numbers /= self._scales[self._order]
         return numbers
-
-    def _newton(
-        self, q: Matrix, numbers: Matrix, jump: float, regular: float, modes: Vector | float
-    ) -> tuple[Matrix, Mask]:
-        """Close the loops; return q, and which poses are accepted by joint travel, regularity and mode."""
-        found, residuals, regularity, found_modes, jumps = self._iterated(q, numbers, _NEARLY_CLOSED, _STEPS)
-        return found, (residuals <= _NEARLY_CLOSED) & (regularity > regular) & (jumps <= jump) & (found_modes == modes)
-
-    def _iterated(self, q: Matrix, numbers: Matrix, tolerance: float, steps: int) -> tuple[Array, ...]:
-        """Take Newton steps; return q, residuals, regularity, modes, and the largest travel of a joint."""
-        nq = self._nq
-        states, residuals, _ = self._step.iterate(self._inputs(q, numbers), tolerance, steps)
-        return states[:, :nq], residuals, *regularity_and_mode(states[:, nq]), states[:, nq + 1]
 
     def _inputs(self, q: Matrix, numbers: Matrix) -> Matrix:
         nq = self._nq
@@ -394,6 +324,12 @@ class Continuation:
         return residuals
 
 
+def _reached(walked: Walked) -> Matrix:
+    """Return the poses at the targets of walks, NaN where these were not reached."""
+    q: Matrix = np.where(walked.status[:, None] == REACHED, walked.q, np.nan)
+    return q
+
+
 def _solved_neighbours(q: Array) -> Array:
     """Return for each point of a grid a solved neighbour along some dimension, or NaN."""
     neighbours = np.full_like(q, np.nan)
@@ -427,13 +363,3 @@ def _shares(values: bytes) -> Matrix:
                 shares[points, j - 1] = -np.prod(gaps[:, others] / (back[:, j, None] - back[:, others]), axis=1)
     shares[~(np.abs(shares).max(axis=1) < _GREATEST_SHARE)] = 0.0
     return frozen(shares)
-
-
-def _linear_positions(mechanism: Mechanism) -> Vector:
-    """Return 1 for entries of q that are linear in the joint's motion, otherwise 0, shape=(nq,)."""
-    model = mechanism.model
-    linear = np.zeros(model.nq)
-    for joint in list(model.joints)[1:]:
-        if joint.nq == joint.nv:
-            linear[joint.idx_q : joint.idx_q + joint.nq] = 1.0
-    return linear

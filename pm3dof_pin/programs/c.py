@@ -22,6 +22,7 @@ EXPRESSIONS = {
     "cos": "cos({0})",
     "atan2": "atan2({0}, {1})",
     "absolute": "fabs({0})",
+    "floor": "floor({0})",
     "minimum": "({0} < {1} || {0} != {0}) ? {0} : {1}",
     "maximum": "({1} < {0} || {0} != {0}) ? {0} : {1}",
     "less": "{0} < {1}",

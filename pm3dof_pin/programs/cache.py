@@ -25,6 +25,7 @@ from pm3dof_pin.exceptions import InvalidValueError, OutputError, ProgramError
 from pm3dof_pin.files import write_atomically
 from pm3dof_pin.programs import llvm
 from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.walk import Walk
 
 LARGEST = 200 * 2**20
 """Size limit in bytes, exceeded by up to a twentieth before the least recently used entries are removed."""
@@ -72,7 +73,7 @@ def stored(key: str, make: Callable[[], Program]) -> Program:
     return program
 
 
-def compiled(program: Program) -> llvm.Compiled:
+def compiled(program: Program | Walk) -> llvm.Compiled:
     """Return the program as machine code, cached or compiled now; ProgramError if LLVM does not compile it.
 
     It is first compiled quickly, and with full optimisation once it has run for enough poses.
@@ -89,17 +90,17 @@ def compiled(program: Program) -> llvm.Compiled:
     return llvm.Compiled(program, _made(program, careful=False), faster=with_care)
 
 
-def _code(program: Program, *, careful: bool) -> bytes:
+def _code(program: Program | Walk, *, careful: bool) -> bytes:
     return _read(_code_name(program, careful=careful)) or _made(program, careful=careful)
 
 
-def _made(program: Program, *, careful: bool) -> bytes:
+def _made(program: Program | Walk, *, careful: bool) -> bytes:
     code = llvm.object_code(program, llvm.target().lanes, careful)
     _keep(_code_name(program, careful=careful), code)
     return code
 
 
-def _code_name(program: Program, *, careful: bool) -> str:
+def _code_name(program: Program | Walk, *, careful: bool) -> str:
     versions = llvmlite.__version__, ".".join(map(str, binding.llvm_version_info))
     processor = llvm.target()
     key = program.key, *versions, processor.name, processor.features, str(processor.lanes), str(careful)

@@ -305,6 +305,11 @@ def absolute(a: Scalar) -> Scalar:
     return _unary("absolute", a.operands[0] if a.operation == "negative" else a)
 
 
+def floor(a: Scalar) -> Scalar:
+    """Greatest integer not above a number."""
+    return _unary("floor", a) if isinstance(a, Number) else _folded("floor", a)
+
+
 def atan2(y: Scalar, x: Scalar) -> Scalar:
     """Angle of the point (x, y) [rad], in [-pi, pi]."""
     return _binary("atan2", y, x)

@@ -15,6 +15,7 @@ _EXPRESSIONS = EXPRESSIONS | {
     "cos": "Math.cos({0})",
     "atan2": "Math.atan2({0}, {1})",
     "absolute": "Math.abs({0})",
+    "floor": "Math.floor({0})",
 }
 
 

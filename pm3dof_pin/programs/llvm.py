@@ -15,12 +15,14 @@ from llvmlite import binding
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError
-from pm3dof_pin.programs import drivers
+from pm3dof_pin.programs import llvm_ir
 from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.walk import CLOSED, NEARLY_CLOSED, SHORTEST_LEG, STEPS, Walk
 from pm3dof_pin.typing import Array, Mask
 
 _LOG = logging.getLogger(__name__)
 
+_STEPS_AT_ONCE = 32  # of walks, before those that have ended are set aside
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, do not justify a thread
 
 MANY_POSES = 20_000
@@ -37,6 +39,14 @@ class Target(NamedTuple):
     features: str
     lanes: int
     fuses: bool  #: whether it has a fused multiply-add
+
+
+class Walked(NamedTuple):
+    """The ends of walks."""
+
+    q: Array  #: the last accepted configurations, shape=(n, nq) [m, rad]
+    status: Array  #: see :data:`~pm3dof_pin.programs.walk.REACHED`, shape=(n,)
+    left: Array  #: number of usual legs left, shape=(n,)
 
 
 class Iteration(NamedTuple):
@@ -61,23 +71,24 @@ def target() -> Target:
         raise ProgramError(f"LLVM cannot compile for this processor: {error}") from error
 
 
-def compile(program: Program, lanes: int | None = None, careful: bool = True) -> Compiled:
+def compile(program: Program | Walk, lanes: int | None = None, careful: bool = True) -> Compiled:
     """Compile for `lanes` poses at once, a power of two, by default the target's; ProgramError on failure."""
     return Compiled(program, object_code(program, lanes or target().lanes, careful))
 
 
-def object_code(program: Program, lanes: int, careful: bool) -> bytes:
+def object_code(program: Program | Walk, lanes: int, careful: bool) -> bytes:
     """Return the compiled program as an object file; ProgramError if LLVM does not compile it.
 
     Without `careful` it takes a quarter of the time, for code a third as fast, with bitwise identical results.
     """
     machine = _machine(careful)
     try:
-        text = drivers.module(program, lanes, binding.llvm_version_info[0] >= 17, target().fuses, _attributes(lanes))
-        module = binding.parse_assembly(text, binding.create_context())
-        module.triple = machine.triple
-        module.data_layout = str(machine.target_data)
-        return bytes(machine.emit_object(module))
+        opaque_pointers = binding.llvm_version_info[0] >= 17
+        text = llvm_ir.module(program, lanes, opaque_pointers, target().fuses, _attributes(lanes))
+        parsed = binding.parse_assembly(text, binding.create_context())
+        parsed.triple = machine.triple
+        parsed.data_layout = str(machine.target_data)
+        return bytes(machine.emit_object(parsed))
     except RuntimeError as error:
         reason = str(error).splitlines()[0]
         raise ProgramError(f"program '{program.name}': LLVM does not compile it: {reason}") from error
@@ -105,18 +116,19 @@ class Compiled:
     Results do not depend on how poses are grouped into calls, on their order, or on the number of threads.
     """
 
-    def __init__(self, program: Program, code: bytes, faster: Callable[[], bytes] | None = None) -> None:
+    def __init__(self, program: Program | Walk, code: bytes, faster: Callable[[], bytes] | None = None) -> None:
         """Load object code of the program.
 
         Args:
-            program: the program.
+            program: the program; or a walk, whose step is then the program.
             code: its object code; LLVM crashes on incomplete code.
             faster: makes code that replaces it after many poses, if `code` was compiled quickly.
 
         Raises:
             ProgramError: it cannot be loaded.
         """
-        self.program = program
+        self._walk = program if isinstance(program, Walk) else None
+        self.program = program.step if isinstance(program, Walk) else program
         self._faster = faster
         self._poses = 0
         self._engines: list[Any] = []  # the first one is kept, since another thread may be running it
@@ -137,8 +149,10 @@ class Compiled:
             if program.can_iterate:
                 functions["iterate"] = self._function("iterate", *steps)
             if program.can_march:
-                march = (*steps, size, size, size, size, pointer, number, number, number)
-                functions["march"] = self._function("march", *march)
+                functions["march"] = self._function("march", *steps, size, size, size, size, pointer, number)
+            if self._walk is not None:
+                functions["start"] = self._function("start", *common)
+                functions["walk"] = self._function("walk", *steps)
             self._functions = functions
         except (RuntimeError, OSError) as error:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
@@ -214,6 +228,49 @@ class Compiled:
         self._run("iterate", rows, parameters, results, threads, tolerance, max_steps)
         return Iteration(results[:, :n], results[:, n], results[:, n + 1])
 
+    def walk(
+        self,
+        starts: ArrayLike,
+        targets: ArrayLike,
+        parameters: ArrayLike,
+        *,
+        shortest: float = SHORTEST_LEG,
+        tolerance: float = CLOSED,
+        threads: int | None = None,
+    ) -> Walked:
+        """Walk from starts to targets, see :class:`~pm3dof_pin.programs.walk.Walk`.
+
+        Args:
+            starts: closed configurations, shape=(n, nq).
+            targets: numbers that the step takes after its state, shape=(n, m).
+            parameters: shape=(number of parameters,).
+            shortest: length of the shortest leg, relative to the usual one.
+            tolerance: largest closure error of a pose that counts as reached [m, rad].
+            threads: maximum number of threads; the number of processors by default.
+
+        Raises:
+            InvalidValueError: the program is no walk, or an array has the wrong shape.
+        """
+        walk = self._walk
+        if walk is None:
+            raise InvalidValueError("program", self.program.name, "a walk")
+        goals = np.asarray(targets, dtype=float)
+        begins = np.column_stack([starts, goals, np.full(len(goals), shortest), np.full(len(goals), tolerance)])
+        states = np.empty((len(goals), len(walk.start.results)))
+        self._run("start", _rows("starts", begins, len(walk.start.inputs)), parameters, states, threads)
+        status, rows = np.ones(len(goals)), np.arange(len(goals))
+        changing = walk.state_size
+        while rows.size:  # those that have ended make room for others in the lanes
+            ends = np.empty((len(rows), changing + 2))
+            whole = len(rows) == len(states)
+            begins = states if whole else states[rows]
+            self._run("walk", begins, parameters, ends, threads, 0.0, _STEPS_AT_ONCE, length=_STEPS_AT_ONCE)
+            states[rows, :changing], status[rows] = ends[:, :changing], ends[:, changing]
+            rows = rows[ends[:, changing] > 0.0]
+        places = walk.places
+        left = (1.0 - states[:, places["done"].start]) / states[:, places["longest"].start]
+        return Walked(states[:, places["reached"]], status, left)
+
     def march(
         self,
         lines: Array,
@@ -221,10 +278,7 @@ class Compiled:
         parameters: ArrayLike,
         shares: ArrayLike,
         *,
-        tolerance: float,
-        max_steps: int,
-        margins: tuple[float, float],
-        longest: float,
+        mode: float,
         threads: int | None = None,
     ) -> None:
         """Iterate along lines, in place: each pose starts from a prediction by its predecessors.
@@ -232,7 +286,7 @@ class Compiled:
         The prediction is the last pose plus, for each pose before it, a share of the difference from it to the last.
 
         Only for programs that close loops, :func:`~pm3dof_pin.programs.closing.closing_program`. A pose and all after
-        it are NaN if the final residual is not small, the margin is out of bounds, or the jump is too long.
+        it are NaN if it is not accepted, see :func:`~pm3dof_pin.programs.walk.acceptance_program`.
 
         Args:
             lines: q, shape=(n, m, nq), rows of q contiguous. The first poses of each line are known; all but the last
@@ -240,11 +294,8 @@ class Compiled:
             given: the inputs after the state, shape=(n, m, number of them), rows contiguous.
             parameters: shape=(number of parameters,).
             shares: for each unknown pose, beginning with the pose before the last; zero for missing poses,
-                shape=(number of unknown poses, :data:`~pm3dof_pin.programs.drivers.HISTORY`).
-            tolerance: see :meth:`iterate`.
-            max_steps: see :meth:`iterate`.
-            margins: bounds of the margin.
-            longest: largest permitted jump.
+                shape=(number of unknown poses, :data:`~pm3dof_pin.programs.llvm_ir.HISTORY`).
+            mode: assembly mode of home, see :func:`~pm3dof_pin.programs.closing.regularity_and_mode`.
             threads: maximum number of threads; the number of processors by default.
 
         Raises:
@@ -256,7 +307,7 @@ class Compiled:
         n, m, nq = lines.shape
         shares = np.ascontiguousarray(shares, dtype=np.float64)
         known = m - len(shares)
-        expected = (n, m, len(program.inputs) - nq - 2), (m - known, drivers.HISTORY)
+        expected = (n, m, len(program.inputs) - nq - 2), (m - known, llvm_ir.HISTORY)
         if nq != program.state_size - 2 or (given.shape, shares.shape) != expected or known < 1:
             raise InvalidValueError(
                 "lines", f"arrays of shape {lines.shape}, {given.shape}, {shares.shape}", f"{expected}"
@@ -273,8 +324,8 @@ class Compiled:
             parameters,
             given[:, known - 1],
             threads,
-            *(tolerance, max_steps, step, given.strides[1] // 8, known, len(shares)),
-            *(_address(shares), *margins, longest),
+            *(NEARLY_CLOSED, STEPS, step, given.strides[1] // 8, known, len(shares)),
+            *(_address(shares), mode),
             length=2 * len(shares),
         )
 

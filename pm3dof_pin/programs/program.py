@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -45,6 +45,7 @@ OPERATIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "or": (2, np.logical_or),
     "not": (1, np.logical_not),
     "select": (3, np.where),
+    "floor": (1, np.floor),
 }
 """Number of operands and meaning of each operation. `minimum` and `maximum` are NaN if an operand is NaN, and the
 second operand if both are equal; `less` is false if an operand is NaN."""
@@ -160,6 +161,21 @@ class Program:
             return program
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise InvalidValueError("content", f"{content[:20]!r}...", f"a '{FORMAT}'") from error
+
+    def with_parameters(self, names: tuple[str, ...]) -> Program:
+        """Return the same program with more parameters, unused ones; InvalidValueError if one of its own is missing."""
+        if missing := set(self.parameters) - set(names):
+            raise InvalidValueError("parameters", sorted(missing)[0], "a parameter of both programs")
+        first, last = len(self.inputs), len(self.inputs) + len(self.parameters)
+        places = [first + names.index(name) for name in self.parameters]
+        shift = len(names) - len(self.parameters)
+        moved = [*range(first), *places, *range(last + shift, self.first_line + len(self) + shift), -1]
+        return replace(
+            self,
+            parameters=names,
+            operands=np.array(moved, dtype=np.int32)[self.operands],
+            results=tuple([moved[number] for number in self.results]),
+        )
 
     @property
     def state_size(self) -> int:

@@ -7,6 +7,7 @@ determines every rounding, and quickly compiled and optimised code give identica
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 
 ANGLE_RANGE = 1e6
 """Largest magnitude of an angle that sine and cosine accept [rad]; NaN beyond it."""
@@ -61,7 +62,7 @@ class VectorText:
         self.vector_pointer = "ptr" if opaque_pointers else f"{self.vector}*"
         self.lines = [
             f"declare {self.vector} @llvm.{function}.v{lanes}f64({', '.join([self.vector] * count)})"
-            for function, count in (("sqrt", 1), ("fabs", 1), ("fma", 3))
+            for function, count in (("sqrt", 1), ("fabs", 1), ("floor", 1), ("fma", 3))
         ]
         self._count = 0
 
@@ -240,6 +241,32 @@ class VectorText:
     def extreme(self, relation: str, a: str, b: str) -> str:
         """Emit the lesser ("olt") or greater ("ogt"): NaN if either is."""
         return self.select(self.compare("uno", a, a), a, self.select(self.compare(relation, a, b), a, b))
+
+    def operation(self, operation: str, operands: Sequence[str]) -> str:
+        """Emit an operation of a program, except sine and cosine."""
+        match operation:  # LLVM names its instructions fadd, fsub, fmul, fdiv
+            case "add" | "subtract" | "multiply" | "divide":
+                return self.binary(f"f{operation[:3]}", *operands)
+            case "negative":
+                return self.negative(operands[0])
+            case "sqrt" | "floor":
+                return self.call(operation, operands[0])
+            case "absolute":
+                return self.call("fabs", operands[0])
+            case "atan2":
+                return self.arctangent(*operands)
+            case "minimum":
+                return self.extreme("olt", *operands)
+            case "maximum":
+                return self.extreme("ogt", *operands)
+            case "less":
+                return self.compare("olt", *operands)
+            case "select":
+                return self.select(*operands)
+            case "not":
+                return self.emit(f"xor {self.truths} {operands[0]}, <{', '.join(['i1 true'] * self.lanes)}>")
+            case _:  # "and", "or"
+                return self.emit(f"{operation} {self.truths} {operands[0]}, {operands[1]}")
 
     # functions
 

@@ -143,7 +143,7 @@ class PagePrograms:
         """Return the Newton step for given coordinates; joints come before components of the tool."""
         joints = tuple(coordinate.joint for coordinate in coordinates if coordinate.joint is not None)
         tool = tuple(coordinate.tool for coordinate in coordinates if coordinate.tool is not None)
-        step = program_source(self.robot).step(self.robot, Task(joints, tool))
+        step = program_source(self.robot).walk(self.robot, Task(joints, tool))
         return _PageProgram(dataclasses.replace(step.compiled.program, name=name), step.parameters)
 
     @cached_property

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError
-from pm3dof_pin.programs import drivers, llvm
-from pm3dof_pin.programs.drivers import HISTORY
+from pm3dof_pin.programs import llvm, llvm_ir
 from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, sin, sqrt
 from pm3dof_pin.programs.vector_ir import ANGLE_RANGE
 
@@ -173,7 +172,7 @@ def line_of_roots(lanes=None):
     graph = Graph()
     x, margin, jump, a = (graph.input(name, [1.0]) for name in ("x", "margin", "jump", "a"))
     step = 0.5 * (x + a / x) - x
-    outputs = {"q": [x + step], "margin": margin - 0.5, "jump": jump + absolute(step), "residual": absolute(x * x - a)}
+    outputs = {"q": [x + step], "margin": margin - 0.3, "jump": jump + absolute(step), "residual": absolute(x * x - a)}
     return llvm.compile(graph.program("line", outputs), lanes)
 
 
@@ -182,11 +181,11 @@ def marched_root(roots, square, shares):
     last = roots[-1]
     x = last + sum(share * (last - before) for share, before in zip(shares, roots[-2::-1], strict=False))
     margin, jump, left, steps = 1.0, 0.0, math.inf, 0
-    while left > 1e-8 and steps < 2:
+    while left > 1e-8 and steps < 6:
         left = abs(x * x - square)
         new = 0.5 * (x + square / x)
-        x, margin, jump, steps = new, margin - 0.5, jump + abs(new - x), steps + 1
-    return x if left <= 1e-8 and margin > -0.1 and jump < 0.1 else math.nan
+        x, margin, jump, steps = new, margin - 0.3, jump + abs(new - x), steps + 1
+    return x if left < 1e-8 and margin > 1e-3 and jump < 0.1 else math.nan
 
 
 @pytest.mark.parametrize("lanes", LANES)
@@ -195,16 +194,15 @@ def test_march_predicts_along_lines_and_ends_them_where_a_pose_is_not_accepted(l
     n, m = 19, 12
     squares = np.linspace(1.0, 9.0, n)[:, None] + 1e-5 * np.arange(m)
     squares[4, 7] += 1.0  # a jump that no step can follow
-    shares = np.zeros((m - 1, HISTORY))
+    shares = np.zeros((m - 1, llvm_ir.HISTORY))
     shares[3:, :2] = 1.5, -0.25
     shares[5:, 2] = -0.1
-    settings = {"tolerance": 1e-8, "max_steps": 2, "margins": (-0.1, 2.0), "longest": 0.1}
     wide = np.full((n, m, 2), np.nan)
     wide[:, 0, 0] = np.sqrt(squares[:, 0])
     again = wide.copy()
     program = line_of_roots(lanes)
-    program.march(wide[..., :1], squares[..., None], (), shares, **settings, threads=1)
-    program.march(again[..., :1], squares[..., None], (), shares, **settings, threads=3)
+    program.march(wide[..., :1], squares[..., None], (), shares, mode=0.0, threads=1)
+    program.march(again[..., :1], squares[..., None], (), shares, mode=0.0, threads=3)
     assert np.isnan(wide[..., 1]).all()
     assert np.array_equal(wide, again, equal_nan=True)
     roots = wide[..., 0]
@@ -218,7 +216,7 @@ def test_march_predicts_along_lines_and_ends_them_where_a_pose_is_not_accepted(l
     back = roots.copy()
     back[:, :-3] = np.nan  # three known poses, of the fifth line only the last, and back along the lines
     back[4, -3] = np.sqrt(squares[4, -3])
-    program.march(back[:, ::-1, None], squares[:, ::-1, None], (), shares[2:], **settings, threads=1)
+    program.march(back[:, ::-1, None], squares[:, ::-1, None], (), shares[2:], mode=0.0, threads=1)
     np.testing.assert_allclose(np.delete(back, 4, axis=0), np.delete(roots, 4, axis=0), rtol=1e-14)
     np.testing.assert_allclose(back[4, 8:10], np.sqrt(squares[4, 8:10]), rtol=1e-14)
     assert np.isnan(back[4, :8]).all()
@@ -235,13 +233,11 @@ def test_errors():
     with pytest.raises(InvalidValueError, match="max_steps = 0"):
         find.iterate(np.zeros((3, 2)), tolerance=1.0, max_steps=0)
     with pytest.raises(InvalidValueError, match="margin, jump"):
-        find.march(
-            *np.zeros((2, 3, 4, 1)), (), np.zeros((3, HISTORY)), tolerance=1, max_steps=1, margins=(0, 1), longest=1
-        )
+        find.march(*np.zeros((2, 3, 4, 1)), (), np.zeros((3, llvm_ir.HISTORY)), mode=0.0)
     with pytest.raises(InvalidValueError, match=r"lines = .* \(3, 4, 1\)"):
         line_of_roots().march(
-            *(np.zeros((3, 4, 1)), np.zeros((3, 5, 1)), (), np.zeros((3, HISTORY))),
-            **{"tolerance": 1.0, "max_steps": 1, "margins": (0.0, 1.0), "longest": 1.0},
+            *(np.zeros((3, 4, 1)), np.zeros((3, 5, 1)), (), np.zeros((3, llvm_ir.HISTORY))),
+            mode=0.0,
         )
     with pytest.raises(InvalidValueError, match="a residual"):
         compiled(lambda x: x, 1).iterate(np.zeros((3, 1)), tolerance=1.0, max_steps=1)
@@ -249,7 +245,7 @@ def test_errors():
 
 def test_what_llvm_does_not_compile_is_said(monkeypatch):
     program = root_finder().program
-    monkeypatch.setattr(drivers, "module", lambda *_: "this is no module")
+    monkeypatch.setattr(llvm_ir, "module", lambda *_: "this is no module")
     with pytest.raises(ProgramError, match="program 'root': LLVM does not compile it: "):
         llvm.compile(program)
 
