@@ -238,8 +238,9 @@ class GeometricErrors:
         return columns.reshape(-1, 6).T
 
     @functools.cached_property
-    def _moved(self) -> dict[str, tuple[set[int], set[int]]]:
-        return {place: moved_by(self.robot, place) for place in self._places}
+    def moved(self) -> dict[str, tuple[set[int], set[int]]]:
+        """The joints and frames, by index, that move with each place; all frames on these joints also move."""
+        return {place: _moved_by(self.robot, place) for place in self._places}
 
     def movers(self, frame: int) -> Vector:
         """Indicate which joint velocities and then errors move a frame, 1 or 0, shape=(nv + number of parameters,)."""
@@ -250,7 +251,7 @@ class GeometricErrors:
             for joint in model.supports[body].tolist()[1:]:
                 moves[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = 1.0
             for index, parameter in enumerate(self.parameters, start=model.nv):
-                joints, frames = self._moved[parameter.place]
+                joints, frames = self.moved[parameter.place]
                 moves[index] = float(body in joints or frame in frames)
             self._movers[frame] = frozen(moves)
         return self._movers[frame]
@@ -297,7 +298,7 @@ def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
 
     def add(place: str, group: str, motions: Sequence[Motion]) -> None:
         for motion in motions:
-            for parameter in axis_parameters(place, motion, group, tolerances[motion]):
+            for parameter in _axis_parameters(place, motion, group, tolerances[motion]):
                 parameters.setdefault(parameter.name, parameter)
 
     for index, joint in enumerate(model.joints):
@@ -315,7 +316,42 @@ def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
     return tuple(parameters.values())
 
 
-def axis_parameters(place: str, motion: Motion, group: str, tolerance: float) -> list[GeometricParameter]:
+def displacement_errors(
+    robot: Robot, places: Iterable[str], group: str, motions: Sequence[Motion] = ("translation", "rotation")
+) -> list[GeometricParameter]:
+    """Return the displacements of joints or frames in their own axes as error parameters, with unit tolerances.
+
+    Raises:
+        FrameNotFoundError: the robot has no such joint or frame.
+    """
+    places = list(places)
+    for place in places:
+        placement_on_body(robot, place)
+    return [p for place in places for motion in motions for p in _axis_parameters(place, motion, group, 1.0)]
+
+
+def beside_guideways(robot: Robot) -> tuple[GeometricParameter, ...]:
+    """Return two error parameters of unit tolerance per drive: offsets of its carriage across the guideway."""
+    return tuple(
+        GeometricParameter(f"{joint}.beside{k}", joint, "translation", direction, "waviness", 1.0)
+        for joint in robot.actuated_joints
+        for k, direction in enumerate(_across_directions(robot, joint))
+    )
+
+
+def placement_on_body(robot: Robot, place: str) -> pin.SE3:
+    """Return the placement of a joint (at coordinate 0) or frame in the axes of the previous joint.
+
+    Raises:
+        FrameNotFoundError: the robot has no such joint or frame.
+    """
+    model = robot.model
+    if model.existJointName(place):
+        return model.jointPlacements[model.getJointId(place)]
+    return model.frames[robot.frame_id(place)].placement
+
+
+def _axis_parameters(place: str, motion: Motion, group: str, tolerance: float) -> list[GeometricParameter]:
     """Return the displacements of a place along, or about, its own three axes."""
     return [_parameter(place, motion, axis, _unit_vector(axis), group, tolerance) for axis in AXES]
 
@@ -364,10 +400,10 @@ def _directions(robot: Robot, place: str, word: str, file: ErrorFile) -> list[tu
         raise JointNotFoundError(place, f"{file.path}: '{word}'", list(robot.model.names)[1:])
     if word == "along":
         return [("_along", _as_tuple(robot.joint_axis(place)))]
-    return [(f"_across{k}", direction) for k, direction in enumerate(across_directions(robot, place), start=1)]
+    return [(f"_across{k}", direction) for k, direction in enumerate(_across_directions(robot, place), start=1)]
 
 
-def across_directions(robot: Robot, joint: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+def _across_directions(robot: Robot, joint: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Return two unit vectors across the axis of a single-DoF joint, in its own axes.
 
     The first is horizontal if the joint's frame has z up: rotation about it changes a guideway's slope, rotation about
@@ -408,7 +444,7 @@ def _is_fixed_to_body(robot: Robot, frame: str) -> bool:
     return bool(frames[entry.parentFrame].type == pin.FrameType.FIXED_JOINT and entry.parentFrame > 0)
 
 
-def moved_by(mechanism: Mechanism, place: str) -> tuple[set[int], set[int]]:
+def _moved_by(mechanism: Mechanism, place: str) -> tuple[set[int], set[int]]:
     """Return the joints and frames, by index, that move with a place; all frames on these joints also move."""
     model = mechanism.model
     frames = [] if model.existJointName(place) else _frame_and_descendants(model, mechanism.frame_id(place))

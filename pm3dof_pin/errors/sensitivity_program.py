@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.errors.error_parameters import GeometricErrors, moved_by
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.programs import cache, geometry
@@ -106,7 +106,8 @@ def _traced(
     driven = robot.actuated_indices
     passive = joint_columns(tree, np.setdiff1d(np.arange(robot.model.nv), driven), tool)
     sources = [
-        _error_column(graph, tree, place, k, local_twists[:, k], at_zero=at_zero) for k, place in enumerate(places)
+        _error_column(tree, place, k, twist, _moved_frames(errors, place), at_zero=at_zero)
+        for k, (place, twist) in enumerate(zip(places, local_twists.T, strict=True))
     ]
     doubt = Doubt()
     motions = response(tree, tool, passive, [*sources, *joint_columns(tree, driven, tool)], doubt)
@@ -114,15 +115,15 @@ def _traced(
     return graph.program(name, {**outputs, "sound": select(doubt.is_none(motions), 1.0, 0.0)})
 
 
-def _error_column(graph: Graph, tree: Tree, place: str, number: int, local: Array, *, at_zero: bool) -> Column:
+def _error_column(tree: Tree, place: str, number: int, local: Array, moves: frozenset[str], *, at_zero: bool) -> Column:
     """Return the column of an error: a twist of everything beyond its place, in the place's axes."""
     entries: Objects = np.zeros(6, dtype=object)
     rows = range(3) if local[:3].any() else range(3, 6)
     for k in rows:
-        entries[k] = float(local[k]) if at_zero else graph.parameter(_name(number, k), float(local[k]))
+        entries[k] = float(local[k]) if at_zero else tree.graph.parameter(_name(number, k), float(local[k]))
     frame = _place(tree, place)
     linear, angular = frame.rotation @ entries[:3], frame.rotation @ entries[3:]
-    return Column(Screw(angular, linear, frame.translation), _moved(tree, place))
+    return Column(Screw(angular, linear, frame.translation), moves)
 
 
 def _place(tree: Tree, place: str) -> Placement:
@@ -134,13 +135,12 @@ def _place(tree: Tree, place: str) -> Placement:
     return tree.body(model.parents[model.getJointId(place)]) * fixed
 
 
-def _moved(tree: Tree, place: str) -> frozenset[str]:
+def _moved_frames(errors: GeometricErrors, place: str) -> frozenset[str]:
     """Return the frames of closures and tool that move with a place."""
-    mechanism, model = tree.mechanism, tree.mechanism.model
-    joints, frames = moved_by(mechanism, place)
-    ids = {name: mechanism.frame_id(name) for name in geometry.frame_names(mechanism)}
+    robot, (joints, frames) = errors.robot, errors.moved[place]
+    ids = {name: robot.frame_id(name) for name in geometry.frame_names(robot)}
     return frozenset(
-        name for name, index in ids.items() if index in frames or model.frames[index].parentJoint in joints
+        name for name, index in ids.items() if index in frames or robot.model.frames[index].parentJoint in joints
     )
 
 

@@ -21,18 +21,19 @@ from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.errors.command_correction import command_scales
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
-from pm3dof_pin.errors.error_parameters import HALF_WIDTH, Distribution, GeometricErrors
-from pm3dof_pin.errors.normal_vectors import covariance_root
-from pm3dof_pin.errors.sensitivity import closable, sensitivities
-from pm3dof_pin.errors.thermal_growth import (
-    Bending,
-    ThermalGrowth,
-    bend_per_curvature,
+from pm3dof_pin.errors.error_parameters import (
+    HALF_WIDTH,
+    Distribution,
+    GeometricErrors,
+    all_parameters,
+    beside_guideways,
     displacement_errors,
-    displacement_names,
 )
+from pm3dof_pin.errors.normal_vectors import covariance_root
+from pm3dof_pin.errors.pose_error import pose_difference
+from pm3dof_pin.errors.sensitivity import closable, sensitivities
+from pm3dof_pin.errors.thermal_growth import Bending, ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
-from pm3dof_pin.errors.waviness import beside_guideways
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array
@@ -50,6 +51,7 @@ LINKS_SHARE = 0.5
 """Temperature rise of the links, as a fraction of the screws'."""
 
 _ROUNDING = 1e-12  # of a bend, below which its effect on the tool is treated as zero
+_WARM = 10.0  # [K]: large against rounding in the closing of loops, small against expansion
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +121,18 @@ class ErrorSources:
     def thermal_growth(self) -> ThermalGrowth:
         """Thermal growth of the robot, as in simulated machines."""
         numbers, robot = self.numbers.thermal, self.robot
-        links = {loop.frame_a: LINKS_SHARE for loop in robot.closures}
-        shares = links if numbers.members is None else numbers.members
-        growing = GeometricErrors(robot, displacement_errors(robot, shares, "thermal", ["translation"]))
-        closing = {parameter.place for parameter in closable(growing).parameters}
-        kept = {place: share for place, share in shares.items() if place in closing}
+        shares = numbers.members
+        if shares is None:
+            shares = {loop.frame_a: LINKS_SHARE for loop in robot.closures}
+        elif not isinstance(shares, dict):
+            shares = {p.place: shares for p in all_parameters(robot) if p.motion == "translation"}
         bearings = np.array(self.errors.fixed_bearings)
+        together = ThermalGrowth(bearings, members=shares, expansion=numbers.expansion_per_K)
+        kept = shares
+        if not together.grown(robot, _WARM).forward(robot.home.commands, on_failure="nan").solved:
+            growing = GeometricErrors(robot, displacement_errors(robot, shares, "thermal", ["translation"]))
+            closing = {parameter.place for parameter in closable(growing).parameters}
+            kept = {place: share for place, share in shares.items() if place in closing}
         bending = {
             place: Bending((1.0 / member.depth_m, 1.0 / member.depth_m), member.along_m)
             for place, member in numbers.bending.items()
@@ -264,9 +272,7 @@ class _SourcesAtPoses:
         per_kelvin = np.where(sources.slides, growth.travel_errors(travels, np.ones_like(travels)), 0.0)
         by_screw = self._by_drives * per_kelvin[:, None, :]
         together = by_screw.sum(axis=2, keepdims=True)
-        if members := growth.growth_per_kelvin(self._robot):
-            amounts = np.array([members[name.split(" ", 1)[1]] for name in self._names("thermal")])
-            together = together + self._others("thermal") @ amounts[:, None]
+        together = together + self._by_members(growth)[:, :, None]
         if together.any() and sources.rise:
             words = "mean thermal growth of screws and members"
             yield self._uniform("thermal_growth", words, together * sources.rise)
@@ -282,21 +288,30 @@ class _SourcesAtPoses:
         if bent.any():
             yield self._uniform("thermal_bending", "bending of members by temperature gradients", bent)
 
+    def _by_members(self, growth: ThermalGrowth) -> Array:
+        """Effect of the growth of all members per kelvin, shape=(n, 6) [m/K, rad/K]."""
+        members = {f"thermal {name}": size for name, size in growth.growth_per_kelvin(self._robot).items() if size}
+        names = self._names("thermal")
+        if members.keys() <= set(names):
+            return np.asarray(self._others("thermal") @ [members.get(name, 0.0) for name in names])
+        # members that close the loops only together, as in a planar mechanism that is warm all over
+        ends = [
+            growth.grown(self._robot, rise).forward(self._poses.commands, guess=self._poses.q).transforms
+            for rise in (-_WARM, _WARM)
+        ]
+        return pose_difference(*ends) / (2.0 * _WARM)
+
     def _bent(self) -> Array:
         """Effect of each kelvin across each member, over its expansion, shape=(n, 6, 2 members that bend)."""
         moved = dict(zip(self._names("bending"), np.moveaxis(self._others("bending"), 2, 0), strict=True))
-        columns = []
-        for place, member in self._sources.thermal_growth.bending.items():
-            bends = bend_per_curvature(self._robot, place, member.along) * member.gradients
-            for bend in bends.T:
-                parts = zip(displacement_names(place), bend, strict=True)
-                named = {f"bending {name}": amount for name, amount in parts if amount}
-                if named.keys() <= moved.keys():  # otherwise it would strain the loops
-                    terms = np.array([amount * moved[name] for name, amount in named.items()])
-                    column = terms.sum(axis=0)
-                    # a link between two joints rotates about them, which does not move the tool
-                    if np.abs(column).max() > _ROUNDING * np.abs(bend).max():
-                        columns.append(column)
+        growth, columns = self._sources.thermal_growth, []
+        for bend in (bend for place in growth.bending for bend in growth.bends(self._robot, place)):
+            named = {f"bending {name}": amount for name, amount in bend.items()}
+            if named.keys() <= moved.keys():  # otherwise it would strain the loops
+                column = np.sum([amount * moved[name] for name, amount in named.items()], axis=0)
+                # a link between two joints rotates about them, which does not move the tool
+                if np.abs(column).max() > _ROUNDING * max(map(abs, named.values())):
+                    columns.append(column)
         return np.stack(columns, axis=2) if columns else np.zeros((len(self._poses), 6, 0))
 
     def _stiffness(self) -> Iterator[SourceErrors]:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import pinocchio as pin
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.error_file import AXES
-from pm3dof_pin.errors.error_parameters import GeometricParameter, axis_parameters
+from pm3dof_pin.errors.error_parameters import (
+    GeometricErrors,
+    GeometricParameter,
+    displacement_errors,
+    placement_on_body,
+)
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Array, Motion, Vector
+from pm3dof_pin.typing import Array, Vector
 
 STEEL_EXPANSION = 11.5e-6
 """Thermal expansion of steel [1/K]."""
@@ -33,8 +37,12 @@ class Bending:
 class ThermalGrowth:
     """Growth of screws from their fixed bearings, and of members between joints, which bend if it is uneven.
 
-    The travel of a drive exceeds its nominal value by the growth of its screw from the fixed bearing to the nut,
-    du = a * integral of the temperature rise from the bearing to u.
+    The travel of a sliding drive exceeds its nominal value by the growth of its screw from the fixed bearing to the
+    nut, du = a * integral of the temperature rise from the bearing to u.
+
+    Every length that a material fills grows once. A member reaches from the previous joint, or from another member
+    on the same body that carries it, to its own place; at a sliding drive only to the fixed bearing, since from there
+    on the length is the screw's. With all members and screws at the same rise, the machine scales.
 
     A member of length L with a temperature gradient g across it, warmer on the side of the unit vector n, bends with
     the curvature a g: to first order its end moves by -a g L^2 / 2 n and turns by a g L n x t, with t along the member.
@@ -45,8 +53,8 @@ class ThermalGrowth:
     #: temperature along each screw as multiples of the measured rise, at increasing distances from the bearing [m]:
     #: interpolated linearly, constant beyond the ends. Uniform by default
     profile: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
-    #: joints or frames whose distance from the previous joint grows, with their temperature rise relative to the
-    #: measured one: 1 for links as warm as the screws, 0.2 for cooler ones
+    #: joints or frames at which a growing member ends, with their temperature rise relative to the measured one: 1 for
+    #: links as warm as the screws, 0.2 for cooler ones
     members: Mapping[str, float] = field(default_factory=dict)
     expansion: float = STEEL_EXPANSION  #: a [1/K]
     #: members that bend, by the joint or frame at which they end
@@ -60,21 +68,69 @@ class ThermalGrowth:
     def growth(self, robot: Robot) -> tuple[list[GeometricParameter], Vector]:
         """Return the motions of member ends as error parameters, and their size per kelvin [m/K, rad/K]."""
         moved = self.growth_per_kelvin(robot)
-        for place, member in self.bending.items():
-            bent = self.expansion * bend_per_curvature(robot, place, member.along) @ member.gradients
-            for name, amount in zip(displacement_names(place), bent, strict=True):
-                moved[name] = moved.get(name, 0.0) + float(amount)
+        for place in self.bending:
+            for bend in self.bends(robot, place):
+                moved |= {name: moved.get(name, 0.0) + self.expansion * amount for name, amount in bend.items()}
         parameters = displacement_errors(robot, {**self.members, **self.bending}, "thermal")
         return parameters, np.array([moved.get(parameter.name, 0.0) for parameter in parameters])
 
+    def grown(self, robot: Robot, rise: float) -> Robot:
+        """Return a robot with its members at a temperature rise [K]; its screws grow by :meth:`travel_errors`."""
+        parameters, per_kelvin = self.growth(robot)
+        return GeometricErrors(robot, parameters).apply(rise * per_kelvin)
+
     def growth_per_kelvin(self, robot: Robot) -> dict[str, float]:
-        """Return the motion of each member's end, by the names of :func:`displacement_names` [m/K]."""
+        """Return the motion of each member's end along its own axes, by the names of error parameters [m/K]."""
         growth: dict[str, float] = {}
         for place, share in self.members.items():
-            placement = _placement_on_body(robot, place)
-            longer = self.expansion * share * (placement.rotation.T @ placement.translation)
-            growth |= {f"{place}.t{axis}": float(amount) for axis, amount in zip(AXES, longer, strict=True)}
+            placement = placement_on_body(robot, place)
+            carrier = self._carrier(robot, place)
+            start = np.zeros(3) if carrier is None else placement_on_body(robot, carrier).translation
+            length = placement.rotation.T @ (placement.translation - start)
+            if place in robot.actuated_joints and robot.single_joint(place).translates:
+                length += self.bearings[robot.actuated_joints.index(place)] * robot.joint_axis(place)
+            growth |= {
+                f"{place}.t{axis}": self.expansion * share * float(x) for axis, x in zip(AXES, length, strict=True)
+            }
         return growth
+
+    def bends(self, robot: Robot, place: str) -> list[dict[str, float]]:
+        """Return the motion of a member's end as it bends, over its expansion, for both directions across it.
+
+        The warmer side is in one of two directions: that of the body axis most nearly perpendicular to the member, made
+        perpendicular, and that perpendicular to both. Motions are along and about the axes of the place where it ends,
+        by the names of error parameters, to first order [m, rad].
+
+        Raises:
+            InvalidValueError: the member has no length.
+        """
+        placement, member = placement_on_body(robot, place), self.bending[place]
+        arm = finite_array(f"member at {place}", placement.translation if member.along is None else member.along, (3,))
+        length = float(np.linalg.norm(arm))
+        if length == 0.0:
+            raise InvalidValueError(f"member at {place}", "no length", "along_m, because it ends at the previous joint")
+        tangent = arm / length
+        first = np.cross(np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent).round(9)))]), tangent)
+        first /= np.linalg.norm(first)
+        bends = []
+        for warm, gradient in zip((first, np.cross(tangent, first)), member.gradients, strict=True):
+            motion = (-0.5 * length**2 * warm, length * np.cross(warm, tangent))
+            local = np.concatenate([placement.rotation.T @ part for part in motion]) * gradient
+            names = (f"{place}.{kind}{axis}" for kind in "tr" for axis in AXES)
+            bends.append({name: float(amount) for name, amount in zip(names, local, strict=True) if amount})
+        return bends
+
+    def _carrier(self, robot: Robot, place: str) -> str | None:
+        """Return the nearest member on the same body, a frame, that carries a place, or None."""
+        frames = robot.model.frames
+        entry = frames[robot.frame_id(place)]
+        body = robot.model.parents[entry.parentJoint] if robot.model.existJointName(place) else entry.parentJoint
+        above = frames[entry.parentFrame]
+        while above.parentJoint == body and above.parentFrame > 0:
+            if above.name in self.members and not robot.model.existJointName(above.name):
+                return str(above.name)
+            above = frames[above.parentFrame]
+        return None
 
     def _integral(self, distance: Array) -> Array:
         """Integrate the profile from the bearing to a distance."""
@@ -92,52 +148,3 @@ class ThermalGrowth:
             return np.asarray(within + (x - inner) * np.where(x < places[0], shares[0], shares[-1]))
 
         return from_first(distance) - from_first(np.zeros(1))
-
-
-def displacement_names(place: str) -> list[str]:
-    """Return the names of a place's displacements along its own axes, then about them."""
-    return [f"{place}.{kind}{axis}" for kind in "tr" for axis in AXES]
-
-
-def displacement_errors(
-    robot: Robot, places: Iterable[str], group: str, motions: Sequence[Motion] = ("translation", "rotation")
-) -> list[GeometricParameter]:
-    """Return the displacements of joints or frames in their own axes as error parameters, with unit tolerances.
-
-    Raises:
-        FrameNotFoundError: the robot has no such joint or frame.
-    """
-    places = list(places)
-    for place in places:
-        _placement_on_body(robot, place)
-    return [p for place in places for motion in motions for p in axis_parameters(place, motion, group, 1.0)]
-
-
-def bend_per_curvature(robot: Robot, place: str, along: tuple[float, float, float] | None = None) -> Array:
-    """Return the motion of a member's end as it bends, to first order, in the axes of the place where it ends.
-
-    The warmer side is in one of two directions across the member: that of the body axis most nearly perpendicular to
-    it, made perpendicular, and that perpendicular to both. For each, [translation; rotation vector], shape=(6, 2)
-    [m^2, m]. The member lies `along` [m], in the axes of its body; from the previous joint by default.
-
-    Raises:
-        InvalidValueError: the member has no length.
-    """
-    placement = _placement_on_body(robot, place)
-    arm = finite_array(f"member at {place}", placement.translation if along is None else along, (3,))
-    length = float(np.linalg.norm(arm))
-    if length == 0.0:
-        raise InvalidValueError(f"member at {place}", "no length", "along_m, because it ends at the previous joint")
-    tangent = arm / length
-    first = np.cross(np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent).round(9)))]), tangent)
-    first /= np.linalg.norm(first)
-    sides = (first, np.cross(tangent, first))
-    bends = [np.concatenate([-0.5 * length**2 * warm, length * np.cross(warm, tangent)]) for warm in sides]
-    return np.asarray(np.kron(np.eye(2), placement.rotation.T) @ np.stack(bends, axis=1))
-
-
-def _placement_on_body(robot: Robot, place: str) -> pin.SE3:
-    model = robot.model
-    if model.existJointName(place):
-        return model.jointPlacements[model.getJointId(place)]
-    return model.frames[robot.frame_id(place)].placement

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.description.source_numbers import Waviness
-from pm3dof_pin.errors.error_parameters import GeometricParameter, across_directions
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array
 
 
@@ -72,15 +70,6 @@ class GuideWaviness:
             tuple(waves(numbers.pitch_m) for _ in range(drives)),
             tuple((waves(numbers.straightness_m), waves(numbers.straightness_m)) for _ in range(drives)),
         )
-
-
-def beside_guideways(robot: Robot) -> tuple[GeometricParameter, ...]:
-    """Return two error parameters of unit tolerance per drive: offsets of its carriage across the guideway."""
-    return tuple(
-        GeometricParameter(f"{joint}.beside{k}", joint, "translation", direction, "waviness", 1.0)
-        for joint in robot.actuated_joints
-        for k, direction in enumerate(across_directions(robot, joint))
-    )
 
 
 def _check_count(name: str, entries: Sequence[object], drives: int) -> None:

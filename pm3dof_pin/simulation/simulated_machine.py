@@ -16,13 +16,14 @@ from pm3dof_pin.errors.error_parameters import (
     Distribution,
     GeometricErrors,
     all_parameters,
+    beside_guideways,
 )
 from pm3dof_pin.errors.normal_vectors import correlated_normal
 from pm3dof_pin.errors.pose_error import moved_pose
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.thermal_growth import ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
-from pm3dof_pin.errors.waviness import GuideWaviness, beside_guideways
+from pm3dof_pin.errors.waviness import GuideWaviness
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
@@ -169,7 +170,8 @@ class SimulatedMachine:
             too_far += self.waviness.travel_errors(travels)
             offsets = self.waviness.offsets(travels)
         if self.thermal is not None:
-            too_far += self.thermal.travel_errors(travels, rises)
+            slides = [self.nominal.single_joint(name).translates for name in self.nominal.actuated_joints]
+            too_far += np.where(slides, self.thermal.travel_errors(travels, rises), 0.0)
         wrenches = None
         if conditions.wrenches is not None:
             wrenches = _rows("wrenches", conditions.wrenches, (len(commands), 6))

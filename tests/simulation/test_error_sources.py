@@ -17,7 +17,7 @@ from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.normal_vectors import correlated_normal
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
-from pm3dof_pin.errors.thermal_growth import Bending, ThermalGrowth
+from pm3dof_pin.errors.thermal_growth import ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import GuideWaviness, Wave
 from pm3dof_pin.exceptions import InvalidValueError
@@ -27,61 +27,6 @@ from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.simulated_machine import Conditions, GeometricSource, SimulatedMachine, with_all_parameters
 
 HOME = [0.240272] * 3
-
-
-def test_ten_kelvin_lengthen_a_screw_of_240_mm_by_28_um(tripod_errors: GeometricErrors) -> None:
-    growth = ThermalGrowth(tripod_errors.fixed_bearings)
-    np.testing.assert_allclose(growth.travel_errors(np.zeros((1, 3)), np.full((1, 3), 10.0)), 11.5e-5 * 0.240272)
-
-
-@pytest.mark.parametrize("bearing", [0.0, 0.15, 0.5, -0.1])
-def test_the_growth_is_the_integral_of_the_temperature(bearing: float) -> None:
-    """Against a fine sum over the piecewise linear profile."""
-    profile = ((0.05, 1.0), (0.1, 2.0), (0.3, 0.5))
-    growth = ThermalGrowth(np.array([bearing]), profile, expansion=1.0)
-    for travel in (-0.2, 0.0, 0.07, 0.2, 0.6):
-        distances = np.linspace(0.0, travel - bearing, 200_001)
-        shares = np.interp(distances, *np.transpose(profile))
-        expected = np.sum(0.5 * (shares[1:] + shares[:-1]) * np.diff(distances))
-        computed = growth.travel_errors(np.array([[travel]]), np.array([[1.0]]))
-        assert computed[0, 0] == pytest.approx(expected, abs=1e-8)
-
-
-def _grown(growth: ThermalGrowth, robot: Robot, rise: float) -> Robot:
-    parameters, per_kelvin = growth.growth(robot)
-    return GeometricErrors(robot, parameters).apply(rise * per_kelvin)
-
-
-def test_members_grow_with_their_length(mechanism: Robot) -> None:
-    growth = ThermalGrowth(np.zeros(3), members={"link1_tip": 0.5, "E2": 1.0})
-    grown = _grown(growth, mechanism, 20.0)
-    link = grown.home.frame_placement("universal1_second_joint").actInv(grown.home.frame_placement("link1_tip"))
-    assert np.linalg.norm(link.translation) == pytest.approx(0.353 * (1.0 + 0.5 * 20.0 * 11.5e-6), rel=1e-15)
-    joint = grown.home.frame_placement("platform").actInv(grown.home.frame_placement("E2"))
-    assert np.linalg.norm(joint.translation) == pytest.approx(np.hypot(0.075, 0.013) * (1.0 + 20.0 * 11.5e-6))
-
-
-def test_a_bent_member_ends_on_its_arc(mechanism: Robot) -> None:
-    """Two fibres 30 mm apart, one 5 K warmer: concentric arcs over the length of the link, towards the colder one."""
-    expansion, depth, across = 11.5e-6, 0.03, 5.0
-    growth = ThermalGrowth(np.zeros(3), bending={"link1_tip": Bending((across / depth, 0.0))})
-    before, after = (
-        robot.home.frame_placement("universal1_second_joint").actInv(robot.home.frame_placement("link1_tip"))
-        for robot in (mechanism, _grown(growth, mechanism, 1.0))
-    )
-    along = before.translation / 0.353
-    radius = depth / (expansion * across)
-    angle = 0.353 / radius
-    aside = after.translation - before.translation
-    assert np.linalg.norm(aside) == pytest.approx(radius * (1.0 - np.cos(angle)), rel=1e-6)
-    assert aside @ along == pytest.approx(0.0, abs=1e-12)
-    turn = pin.log3(before.rotation.T @ after.rotation)
-    assert np.linalg.norm(turn) == pytest.approx(angle, rel=1e-9)
-    # the end points the way it has moved
-    np.testing.assert_allclose(np.cross(before.rotation @ turn, along), 2.0 * aside / 0.353, atol=1e-12)
-    straight = ThermalGrowth(np.zeros(3), bending={"passive_cross": Bending((1.0, 0.0))})
-    with pytest.raises(InvalidValueError, match="along_m"):
-        straight.growth(mechanism)
 
 
 def test_the_deflection_is_that_of_the_closed_form(tripod: Tripod, tripod_nominal: Poses) -> None:
