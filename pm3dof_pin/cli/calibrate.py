@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.calibration.calibrate import Calibration
 
 
-_ROOMS = ("pm3dof_pin.measuring", "pm3dof_pin.calibration")
+_ROOMS = ("pm3dof_pin.csv_table", "pm3dof_pin.measuring", "pm3dof_pin.calibration")
 
 
 MethodName: TypeAlias = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]

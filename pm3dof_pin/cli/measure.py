@@ -44,14 +44,18 @@ def measure(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the poses, temperatures and noise.")] = 0,
     noise: Annotated[float, typer.Option(help="Standard deviation of a tracker target's coordinates [m].")] = 15e-6,
     positions: Annotated[bool, typer.Option("--positions", help="Measure positions only, not full poses.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the output file if it exists.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Simulate measurements of a machine with errors, as a file for `calibrate`. Lengths in metres."""
+    """Simulate measurements of a machine with errors, as a file for `calibrate`. Lengths in metres.
+
+    A file that exists is kept: it may hold real measurements.
+    """
     from dataclasses import replace
 
     import numpy as np
 
-    from pm3dof_pin.exceptions import ConvergenceError, UnreachablePoseError
+    from pm3dof_pin.exceptions import ConvergenceError, OutputError, UnreachablePoseError
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import Instrument
     from pm3dof_pin.measuring.measurement_file import write_measurements
@@ -60,6 +64,8 @@ def measure(
 
     if poses is not None and plan is not None:
         raise typer.BadParameter("expected --poses or --plan, not both")
+    if out.exists() and not force:
+        raise OutputError(out, "exists and may hold real measurements: use --force to replace it by simulated ones")
     errors = which.load_errors()
     generator = np.random.default_rng(seed)
     sample = reachable_poses(errors.robot, poses or _POSES, generator)

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pm3dof_pin.csv_table import CsvTable
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.csv_table import CsvTable
 from pm3dof_pin.typing import Array
 
 _BEYOND_LIMITS = 0.2  # of a joint's range

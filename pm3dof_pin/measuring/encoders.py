@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from pm3dof_pin.csv_table import CsvTable
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.csv_table import CsvTable
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.typing import Array
 

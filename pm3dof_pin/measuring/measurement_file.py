@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pm3dof_pin.csv_table import CsvTable, columns_as_text, is_condition
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.files import write_text_atomically
@@ -20,7 +21,6 @@ from pm3dof_pin.measuring.command_columns import (
     commands_of,
     start_columns,
 )
-from pm3dof_pin.measuring.csv_table import CsvTable, columns_as_text, is_condition
 from pm3dof_pin.measuring.encoders import encoder_column, encoder_joints, readings_of
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pm3dof_pin.csv_table import CsvTable, columns_as_text
 from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.command_columns import command_columns, commands_of
-from pm3dof_pin.measuring.csv_table import CsvTable, columns_as_text
 from pm3dof_pin.typing import Array
 
 _NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from pm3dof_pin.csv_table import CsvTable
 from pm3dof_pin.errors.pose_error import rotation_of_quaternion, rotation_vector
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.measuring.csv_table import CsvTable
 from pm3dof_pin.typing import Array
 
 POSITION_COLUMNS = ("x_m", "y_m", "z_m")

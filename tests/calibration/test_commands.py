@@ -55,6 +55,18 @@ def test_the_same_seed_gives_the_same_file(place: Path, answer: Answer) -> None:
     assert (place / "other.csv").read_bytes() != (place / "m.csv").read_bytes()
 
 
+def test_simulated_measurements_do_not_replace_a_file(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "real.csv").write_text("u1_m,x_m\n")
+    options = ("measure", "--out", "real.csv", "--poses", "2")
+    refused = run(*options, cwd=tmp_path)
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert "real.csv" in refused.stderr
+    assert "--force" in refused.stderr
+    assert (tmp_path / "real.csv").read_text() == "u1_m,x_m\n"
+    assert run(*options, "--force", cwd=tmp_path).returncode == 0
+    assert len((tmp_path / "real.csv").read_text().splitlines()) == 3
+
+
 def test_one_source_of_errors_and_loads(place: Path, run: Run, answer: Answer) -> None:
     answer("measure", "--out", "soft.csv", "--poses", "4", "--only", "elastic", "--load", "50", cwd=place)
     header, first, *_ = (place / "soft.csv").read_text().splitlines()

@@ -321,7 +321,7 @@ WRONG: dict[str, Wrong] = {
     "empty": Wrong(lambda g: "", "no column|empty"),
     "header alone": Wrong(lambda g: as_text(g.table).splitlines()[0] + "\n", "no complete row"),
     "no header": Wrong(lambda g: "\n".join(as_text(g.table).splitlines()[1:]) + "\n", "no column|header"),
-    "a comment": Wrong(lambda g: "# tracker 7\n" + as_text(g.table), "no column|header|line 1"),
+    "a comment": Wrong(lambda g: "# tracker 7\n" + as_text(g.table)),
     "upper case": Wrong(lambda g: as_text(g.table).replace("x_m", "X_M"), "no column x_m"),
     "millimetres in the header": Wrong(
         lambda g: as_text(g.table).replace("_m,", "_mm,"), "limits|scale|thousand|all lengths"
@@ -545,7 +545,7 @@ OF_LESS = (
 
 REFUSED_BY_THE_READER = (
     "spaces", "decimal commas alone", "trailing commas", "UTF-16", "empty",
-    "header alone", "no header", "a comment", "upper case", "millimetres in the header", "commands in another unit",
+    "header alone", "no header", "upper case", "millimetres in the header", "commands in another unit",
     "a column twice", "no z", "no qz", "no u1", "one sigma", "a word", "a unit", "a cell too many", "an underscore",
     "commands a thousandfold", "commands in degrees", "commands in inches", "millimetres", "quaternions x, y, z, w",
     "quaternions conjugate", "quaternions of any length", "Euler angles", "targets in millimetres", "sigma negative",

@@ -253,6 +253,15 @@ def test_what_spreadsheets_and_trackers_write(
     np.testing.assert_array_equal(found.rotations, plain.rotations)
 
 
+def test_comments_keep_the_numbers_of_lines(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    comments = [["# tracker 7", " Leica"], [""], ["#"]]
+    found = read([*comments, *lines[:3], ["# after a pause"], *lines[3:]], tripod_errors, tmp_path)
+    assert found.lines[:3] == (5, 6, 8)
+    np.testing.assert_array_equal(found.commands, read(lines, tripod_errors, tmp_path).commands)
+
+
 def test_euler_angles_are_no_orientation(
     lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
 ) -> None:

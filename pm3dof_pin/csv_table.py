@@ -1,7 +1,8 @@
-"""A CSV file of numbers, to be read as measurements: columns by name, the line of every row, and warnings.
+"""A CSV file of numbers: columns by name in metres and radians, the line of every row, and warnings.
 
 Typical output of instruments and spreadsheets is understood: a byte order mark, semicolons or tabs between columns,
-decimal commas with these, and columns in other units according to the suffix of their names, `x_mm` or `rz_deg`.
+decimal commas with these, empty lines and lines that start with #, and columns in other units according to the suffix
+of their names, `x_mm` or `rz_deg`.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ class CsvTable:
     Attributes:
         path: the file.
         header: the names of the columns in these units, in the order of the file.
+        written: the columns by the headings of the file, in its units, shape=(n,) each.
         lines: the line of each row.
         columns: shape=(n,) each, by name.
         warnings: warnings about the file.
@@ -60,15 +62,18 @@ class CsvTable:
             text = read_text(path)
         except DescriptionError as error:
             raise MeasurementError(path, error.expected) from error
-        first = next(iter(text.splitlines()), "")
+        # an empty line for a comment keeps the numbers of the lines
+        lines = ["" if line.lstrip().startswith("#") else line for line in text.splitlines()]
+        first = next((line for line in lines if line.strip()), "")
         separator = next((mark for mark in ";\t" if mark in first and "," not in first), ",")
         self._decimal_commas = separator != ","
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+        reader = csv.reader(lines, delimiter=separator)
         self.lines: list[int] = []
         rows = []
         try:
-            self.header, factors = self._in_si([name.strip() for name in next(reader, [])])
-            self._check_header(needed)
+            headings = [name.strip() for name in next((cells for cells in reader if any(cells)), [])]
+            self.header, factors = self._in_si(headings)
+            self._check_header(needed, max(reader.line_num, 1))
             for cells in reader:
                 if not any(cell.strip() for cell in cells):
                     continue
@@ -79,8 +84,9 @@ class CsvTable:
                 rows.append([self._number(cell, name) for cell, name in zip(cells, self.header, strict=True)])
         except csv.Error as error:
             raise MeasurementError(path, f"expected CSV ({error})", [reader.line_num]) from error
-        table = np.array(rows, dtype=float).reshape(len(rows), len(self.header)) * factors
-        self.columns = {name: table[:, k] for k, name in enumerate(self.header)}
+        table = np.array(rows, dtype=float).reshape(len(rows), len(self.header))
+        self.written = dict(zip(headings, table.T, strict=True))
+        self.columns = dict(zip(self.header, (table * factors).T, strict=True))
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -113,8 +119,8 @@ class CsvTable:
                 raise MeasurementError(self.path, f"{name} is missing", self.lines_where(~np.isfinite(values)))
         return found
 
-    def require(self, names: Sequence[str]) -> None:
-        """Check that columns exist.
+    def require(self, names: Sequence[str], line: int = 1) -> None:
+        """Check that columns exist; the header is on a given line.
 
         Raises:
             MeasurementError: some do not.
@@ -124,7 +130,7 @@ class CsvTable:
             problem = (
                 f"no column {', '.join(missing)}; expected {','.join(names)}, the file has {','.join(self.header)}"
             )
-            raise MeasurementError(self.path, problem, [1])
+            raise MeasurementError(self.path, problem, [line])
 
     def keep(self, flags: Mask) -> None:
         """Keep only the flagged rows, with a warning about the others.
@@ -136,7 +142,8 @@ class CsvTable:
             self.warn("numbers are missing or not finite; left out", self.lines_where(~flags))
         if not flags.any():
             raise MeasurementError(self.path, "no complete row of numbers, expected one for each pose")
-        self.columns = {name: values[flags] for name, values in self.columns.items()}
+        for columns in (self.columns, self.written):
+            columns |= {name: values[flags] for name, values in columns.items()}
         self.lines = self.lines_where(flags)
 
     def lines_where(self, flags: Any) -> list[int]:
@@ -158,17 +165,17 @@ class CsvTable:
                 names[k], factors[k] = f"{stem}_{_UNITS[unit][0]}", _UNITS[unit][1]
         return names, factors
 
-    def _check_header(self, needed: Sequence[str]) -> None:
+    def _check_header(self, needed: Sequence[str], line: int) -> None:
         header = self.header
         if len(header) == 1 and (found := next((mark for mark in "| " if mark in header[0]), "")):
             problem = f"columns are separated by {found!r}, expected commas, semicolons or tabs"
-            raise MeasurementError(self.path, problem, [1])
+            raise MeasurementError(self.path, problem, [line])
         if "" in header:
             problem = f"column {header.index('') + 1} has no name: a comma at the end of the lines?"
-            raise MeasurementError(self.path, problem, [1])
-        self.require(needed)
+            raise MeasurementError(self.path, problem, [line])
+        self.require(needed, line)
         if twice := sorted({name for name in header if header.count(name) > 1}):
-            raise MeasurementError(self.path, f"column {', '.join(twice)} appears more than once", [1])
+            raise MeasurementError(self.path, f"column {', '.join(twice)} appears more than once", [line])
 
     def _number(self, cell: str, column: str) -> float:
         word = cell.strip()
