@@ -9,7 +9,7 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.typing import Vector
 
 _GREATEST = 1e100  # the product of any three is a number
@@ -48,7 +48,7 @@ def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDAr
     """
     array = np.array(real_array(name, values))
     if array.shape not in shapes:
-        raise InvalidValueError(name, f"an array of shape {array.shape}", f"shape {' or '.join(map(str, shapes))}")
+        raise ShapeError(name, array.shape, f"{' or '.join(map(str, shapes))}")
     if not (np.abs(array) <= _GREATEST).all():  # also catches NaN
         raise InvalidValueError(name, array, f"finite numbers of at most {_GREATEST:g}")
     return array

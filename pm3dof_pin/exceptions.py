@@ -95,13 +95,32 @@ class JointNotFoundError(_NotFoundError):
 
 
 class InvalidValueError(PM3DofError, ValueError):
-    """An argument has an invalid value (NaN, infinite, wrong shape or sign)."""
+    """An argument has an invalid value (NaN, infinite, wrong sign, wrong kind).
 
-    def __init__(self, name: str, value: object, expected: str) -> None:
+    Attributes:
+        name: the argument.
+        value: its value, or None if the message says in words what is wrong with it.
+        expected: what was expected.
+    """
+
+    def __init__(self, name: str, value: object = None, expected: str = "", *, problem: str = "") -> None:
         self.name = name
         self.value = value
         self.expected = expected
-        super().__init__(f"{name} = {value}: expected {expected}")
+        subject = f"{name} {problem}" if problem else f"{name} = {value}"
+        super().__init__(subject + (f": expected {expected}" if expected else ""))
+
+
+class ShapeError(InvalidValueError):
+    """An array has the wrong shape.
+
+    Attributes:
+        shape: its shape.
+    """
+
+    def __init__(self, name: str, shape: tuple[int, ...], expected: object) -> None:
+        self.shape = shape
+        super().__init__(name, expected=str(expected), problem=f"of shape {shape}")
 
 
 class UnreachablePoseError(PM3DofError):

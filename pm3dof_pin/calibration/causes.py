@@ -153,7 +153,7 @@ def _at_nominal(measurements: Measurements, robot: Robot) -> tuple[Measurements,
 
 def _require_most(taken: Mask) -> None:
     if np.mean(taken) < _CAN_BE_TAKEN:
-        raise InvalidValueError("commands", "out of reach", "commands that the machine can reach")
+        raise InvalidValueError("commands", problem="are out of reach")
 
 
 def _misfit(measurements: Measurements, nominal: Poses, eta: float, own_frame: bool) -> float:

@@ -25,7 +25,13 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, moved_pose, pose_difference, tip_error, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, SingularConfigurationError, UnreachablePoseError
+from pm3dof_pin.exceptions import (
+    ConvergenceError,
+    InvalidValueError,
+    ShapeError,
+    SingularConfigurationError,
+    UnreachablePoseError,
+)
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
@@ -154,7 +160,7 @@ class Compensation:
         else:
             nominal = self._reached(real_array("wanted", wanted), on_failure)
         if len(nominal.shape) > 1:
-            raise InvalidValueError("wanted", f"poses of shape {nominal.shape}", "one pose, or a list of them")
+            raise ShapeError("wanted", nominal.shape, "one pose, or a list of them")
         count, drives = len(nominal), len(self.errors.robot.commands)
         commands, deviations = np.full((2, count, drives), np.nan)
         predicted, bounds = np.full((2, count), np.nan)
@@ -172,7 +178,7 @@ class Compensation:
     def _reached(self, transforms: Array, on_failure: OnFailure) -> Poses:
         """Return poses of the robot as described at tool placements, shape=(4, 4) or (n, 4, 4)."""
         if transforms.ndim not in (2, 3):
-            raise InvalidValueError("wanted", f"an array of shape {transforms.shape}", "shape (4, 4) or (n, 4, 4)")
+            raise ShapeError("wanted", transforms.shape, "(4, 4) or (n, 4, 4)")
         transforms = transforms[None] if transforms.ndim == 2 else transforms
         nominal = self.errors.robot.reach(transforms, on_failure=on_failure)
         solved = np.flatnonzero(nominal.solved)

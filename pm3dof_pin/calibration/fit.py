@@ -199,7 +199,7 @@ def compensation_from(
     visits = measurements.visits
     if len(visits) < MIN_POSES:
         expected = f"at least {MIN_POSES} to learn a pseudo-error from"
-        raise InvalidValueError("measurements", f"{len(visits)} poses", expected)
+        raise InvalidValueError("measurements", problem=f"has {len(visits)} poses", expected=expected)
     nominal = errors.robot.forward(visits.commands)
     found = pseudo_errors(measurements, compensation.model_poses(nominal), options.eta)
     scale = InputScale.of(nominal.robot, visits)

@@ -75,7 +75,9 @@ def held_out_errors(calibration: Fit) -> HeldOut:
     numbers = measurements.pose_numbers
     count = int(numbers.max(initial=-1)) + 1
     if count <= MIN_POSES:
-        raise InvalidValueError("measurements", f"{count} poses", f"more than {MIN_POSES} for a cross-validation")
+        raise InvalidValueError(
+            "measurements", problem=f"have {count} poses", expected=f"more than {MIN_POSES} for a cross-validation"
+        )
     folds = np.random.default_rng(options.seed).permutation(np.arange(count) % min(_FOLDS, count))[numbers]
     parts, starts = [], []
     for fold in range(int(folds.max()) + 1):

@@ -21,7 +21,7 @@ from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.errors.command_correction import command_scales
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.encoders import encoder_column, joint_coordinates
@@ -159,8 +159,8 @@ def identifiability(
     """
     blocks = np.asarray(regressor, dtype=float)
     if blocks.ndim != 3 or blocks.shape[2] != len(names) or not np.isfinite(blocks).all():
-        expected = f"finite numbers of shape (n, rows, {len(names)})"
-        raise InvalidValueError("regressor", f"an array of shape {blocks.shape}", expected)
+        expected = f"finite numbers, (n, rows, {len(names)})"
+        raise ShapeError("regressor", blocks.shape, expected)
     matrix = _beside(blocks, nuisances)
     # the triangular factor has the same singular values and right vectors, and is small
     triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.chapter.kinematics import motion_twists, rotation
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ShapeError
 from pm3dof_pin.typing import Array
 
 TOLERANCE = 1e-13  # largest link-length error of a solution [m]
@@ -153,7 +153,7 @@ def all_assembly_modes(tripod: Tripod, u: ArrayLike) -> Array:
 def _checked_travels(tripod: Tripod, u: ArrayLike) -> Array:
     travels = np.asarray(u, dtype=np.float64)
     if travels.ndim == 0 or travels.shape[-1] != tripod.leg_count:
-        raise InvalidValueError("u", f"an array of shape {travels.shape}", f"shape (..., {tripod.leg_count})")
+        raise ShapeError("u", travels.shape, f"(..., {tripod.leg_count})")
     return travels
 
 

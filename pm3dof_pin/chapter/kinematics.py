@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError, UnreachablePoseError
 from pm3dof_pin.typing import Array, OnFailure
 
 
@@ -30,7 +30,7 @@ def placement(poses: ArrayLike) -> Array:
     """Return the homogeneous transform of the platform in the base frame, (8.3), shape=(..., 4, 4)."""
     array = np.asarray(poses, dtype=float)
     if array.ndim == 0 or array.shape[-1] != 3:
-        raise InvalidValueError("poses", f"an array of shape {array.shape}", "shape (..., 3): theta_x, theta_y, z_e")
+        raise ShapeError("poses", array.shape, "(..., 3): theta_x, theta_y, z_e")
     transform = np.zeros((*array.shape[:-1], 4, 4))
     transform[..., :3, :3] = rotation(array[..., 0], array[..., 1])
     transform[..., 2, 3] = array[..., 2]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, real_array
 from pm3dof_pin.description.parameters import TripodParameters
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError, UnreachablePoseError
 from pm3dof_pin.kinematics.unit_sense import other_unit
 from pm3dof_pin.typing import Array
 
@@ -111,9 +111,7 @@ class Tripod:
         """
         array = real_array("poses", poses)
         if array.ndim == 0 or array.shape[-1] != 3:
-            raise InvalidValueError(
-                "poses", f"an array of shape {array.shape}", "shape (..., 3): theta_x, theta_y, z_e"
-            )
+            raise ShapeError("poses", array.shape, "(..., 3): theta_x, theta_y, z_e")
         self._require_units(array)
         return array
 
@@ -142,7 +140,7 @@ class Tripod:
         """Return a single pose as an array, InvalidValueError unless shape=(3,)."""
         array = self.checked(pose)
         if array.ndim != 1:
-            raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (3,): theta_x, theta_y, z_e")
+            raise ShapeError("pose", array.shape, "(3,): theta_x, theta_y, z_e")
         return array
 
     def _link_frames(self) -> Array:

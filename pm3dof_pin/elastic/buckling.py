@@ -116,8 +116,7 @@ def search_buckling(
             # next to a bifurcation, a correction may return to any of its branches
             step = PathStep(point, point, 0.0, bifurcation=True)
         if not step.end.state.symmetric:
-            expected = "no moments of fixed direction in the world"
-            raise InvalidValueError("loads", "without a potential", expected)
+            raise InvalidValueError("loads", problem="have no potential: they include moments of fixed direction")
         if step.length == 0.0 or not step.end.stable:
             critical = path.critical_point(step)
             if critical.factor > largest:

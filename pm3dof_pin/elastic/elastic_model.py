@@ -24,7 +24,7 @@ from pm3dof_pin.elastic.springs import (
     read_springs,
 )
 from pm3dof_pin.elastic.virtual_joints import insert_virtual_joints
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError, ProgramError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError, ProgramError, ShapeError
 from pm3dof_pin.kinematics.robot import LoadOptions, Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Indices, Matrix, Vector
@@ -148,8 +148,8 @@ class ElasticModel:
         """
         rigid = np.asarray(q, dtype=np.float64)
         if rigid.shape[-1:] != (self.rigid.model.nq,):
-            expected = f"shape (..., {self.rigid.model.nq}), a q of the rigid mechanism"
-            raise InvalidValueError("q", f"array of shape {rigid.shape}", expected)
+            expected = f"(..., {self.rigid.model.nq}), a q of the rigid mechanism"
+            raise ShapeError("q", rigid.shape, expected)
         positions = np.zeros((*rigid.shape[:-1], self.mechanism.model.nq))
         positions[..., self.rigid_indices] = rigid
         return positions
@@ -158,8 +158,8 @@ class ElasticModel:
         """Return the rigid mechanism's entries of q, the inverse of :meth:`embed`; raises as there."""
         elastic = np.asarray(q, dtype=np.float64)
         if elastic.shape[-1:] != (self.mechanism.model.nq,):
-            expected = f"shape (..., {self.mechanism.model.nq}), a q of the mechanism with virtual joints"
-            raise InvalidValueError("q", f"array of shape {elastic.shape}", expected)
+            expected = f"(..., {self.mechanism.model.nq}), a q of the mechanism with virtual joints"
+            raise ShapeError("q", elastic.shape, expected)
         positions: Vector = elastic[..., self.rigid_indices]
         return positions
 

@@ -152,7 +152,7 @@ def error_budget(
         ConvergenceError: no equilibrium was found, for large deflections.
     """
     if not len(poses):
-        raise InvalidValueError("error budget", "no poses", "at least one")
+        raise InvalidValueError("error budget", problem="has no poses", expected="at least one")
     by_class = names and all(name in CLASSES for name in names)
     found = sources.at(poses, [known for known in CLASSES if known in names] if by_class else CLASSES)
     budget = ErrorBudget(poses, found, command_jacobians(poses), eta)

@@ -177,7 +177,9 @@ def error_map(
     require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
     require_kind("poses", poses, Poses, "Robot.solve")
     if not len(poses) or not len(errors):
-        raise InvalidValueError("error map", f"{len(poses)} poses, {len(errors)} parameters", "at least one of each")
+        raise InvalidValueError(
+            "error map", problem=f"has {len(poses)} poses and {len(errors)} parameters", expected="at least one of each"
+        )
     sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / HALF_WIDTH
     found = sensitivities(errors, poses)
     return ErrorMap(errors, poses, found, frozen(np.array(sigmas)), eta, distribution)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.typing import Array
 
 _SMALL_HALF_ANGLE = 1e-3
@@ -163,14 +163,14 @@ def chapter_rotation(angles: ArrayLike) -> Array:
 def _checked(pose: ArrayLike) -> Array:
     array = np.asarray(pose, dtype=float)
     if array.shape[-2:] != (4, 4):
-        raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (..., 4, 4)")
+        raise ShapeError("pose", array.shape, "(..., 4, 4)")
     x, y, z = np.moveaxis(array[..., :3, :3], -2, 0)
     # the triple product by entries; LAPACK's determinant takes twenty times as long
     sides = (
         x[..., i] * (y[..., j] * z[..., k] - y[..., k] * z[..., j]) for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
     )
     if (sum(sides, start=np.zeros(())) < 0.0).any():
-        raise InvalidValueError("pose", "a reflection", "rotations, of determinant 1")
+        raise InvalidValueError("pose", problem="is a reflection", expected="rotations, of determinant 1")
     return array
 
 

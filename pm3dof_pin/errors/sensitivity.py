@@ -85,7 +85,7 @@ def sensitivities(
     p = errors.zeros if values is None else errors.values(values)
     unsolved = np.flatnonzero(~np.isfinite(poses.q).all(axis=-1))
     if unsolved.size:
-        raise InvalidValueError("poses", f"pose {unsolved[0]} not solved", "solved poses")
+        raise InvalidValueError("poses", problem=f"include pose {unsolved[0]}, which was not solved")
     if joints:
         tool = sensitivities(errors, poses, p, engine=engine)
         rates = _Loops(errors, poses, p).followed_rates()[0][:, poses.robot.velocity_indices(joints)]

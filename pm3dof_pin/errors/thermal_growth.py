@@ -108,7 +108,9 @@ class ThermalGrowth:
         arm = finite_array(f"member at {place}", placement.translation if member.along is None else member.along, (3,))
         length = float(np.linalg.norm(arm))
         if length == 0.0:
-            raise InvalidValueError(f"member at {place}", "no length", "along_m, because it ends at the previous joint")
+            raise InvalidValueError(
+                f"member at {place}", problem="has no length", expected="along_m, because it ends at the previous joint"
+            )
         tangent = arm / length
         first = np.cross(np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent).round(9)))]), tangent)
         first /= np.linalg.norm(first)

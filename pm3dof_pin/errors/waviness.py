@@ -74,4 +74,6 @@ class GuideWaviness:
 
 def _check_count(name: str, entries: Sequence[object], drives: int) -> None:
     if len(entries) != drives:
-        raise InvalidValueError(name, f"{len(entries)} entries", f"one for each of {drives} actuated joints")
+        raise InvalidValueError(
+            name, problem=f"has {len(entries)} entries", expected=f"one for each of {drives} actuated joints"
+        )

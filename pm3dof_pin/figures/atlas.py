@@ -69,9 +69,13 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
     """Draw one quantity over at most its last three dimensions, with the others at their middle values."""
     for dim in values.dims:
         if "units" not in values[dim].attrs:
-            raise InvalidValueError("values", f"dimensions {values.dims}", "coordinates of a robot, one entry per pose")
+            raise InvalidValueError(
+                "values",
+                problem=f"have dimensions {values.dims}",
+                expected="coordinates of a robot, one entry per pose",
+            )
     if not np.isfinite(values.values).any():
-        raise InvalidValueError("values", "no finite number", "at least one pose within the limits")
+        raise InvalidValueError("values", problem="are not finite", expected="at least one pose within the limits")
     shown, stands = _last_three(values)
     limits, _ = _last_three(flags)
     title = f"{name[:1].upper()}{name[1:]}{f': {stands}' if stands else ''}"

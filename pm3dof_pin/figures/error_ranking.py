@@ -23,7 +23,7 @@ def error_ranking(ranking: Sequence[ParameterShare], most: int = 20) -> Figure:
     """
     shown = list(ranking)[:most]
     if not shown:
-        raise InvalidValueError("ranking", "empty", "at least one parameter")
+        raise InvalidValueError("ranking", problem="is empty", expected="at least one parameter")
     rows = np.arange(len(shown))
     inches = 1.0 + 0.2 * len(shown)
     with house_style():

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.figures.style import ONE_COLUMN, house_style, new_figure
 
 _STRATEGIES: Mapping[str, tuple[str, str]] = {
@@ -33,7 +33,7 @@ def plan_accuracy(
     """
     for strategy, curve in curves.items():
         if curve.ndim != 2 or len(curve) != len(counts):
-            raise InvalidValueError(f"curve of {strategy}", f"shape {curve.shape}", f"shape ({len(counts)}, seeds)")
+            raise ShapeError(f"curve of {strategy}", curve.shape, f"({len(counts)}, seeds)")
     with house_style():
         height = 2.9 + 0.14 * len(curves)
         figure = new_figure(ONE_COLUMN, height)

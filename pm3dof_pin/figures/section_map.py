@@ -143,7 +143,9 @@ def _sheet(
         raise InvalidValueError("section", dict(section.sizes), "a map over two coordinates, one entry per pose")
     values, attributes = np.where(np.isfinite(variable.values), variable.values, np.nan), variable.attrs
     if np.isfinite(values).sum() < 3:
-        raise InvalidValueError(name, f"{np.isfinite(values).sum()} values", "at least three poses to draw")
+        raise InvalidValueError(
+            name, problem=f"has {np.isfinite(values).sum()} values", expected="at least three poses to draw"
+        )
     factor, unit = display_unit(values, unit_of_entry(attributes["units"], entry or ""))
     across = [str(dim) for dim in variable.dims]
     units = [str(section[coordinate].attrs["units"]) for coordinate in across]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import real_array, require_choice
-from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
+from pm3dof_pin.exceptions import PM3DofError, ProgramError, ShapeError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -67,7 +67,11 @@ def evaluate_at(
     require_choice("engine", engine, Engine)
     q = poses.q if isinstance(poses, Poses | Configuration) else real_array("poses", poses)
     if q.shape[-1:] != (robot.model.nq,):
-        raise InvalidValueError("poses", f"array of shape {q.shape}", f"shape (..., {robot.model.nq})")
+        expected = f"(..., {robot.model.nq}), joint positions q"
+        if q.shape[-1:] == (len(robot.coordinates),):
+            names = ", ".join(coordinate.name for coordinate in robot.coordinates)
+            expected += f"; solve values of {names} first: robot.solve(values)"
+        raise ShapeError("poses", q.shape, expected)
     rows = q.reshape(math.prod(q.shape[:-1]), q.shape[-1])
     values: Array | None = None
     doubtful = np.arange(len(rows))

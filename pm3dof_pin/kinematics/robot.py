@@ -22,6 +22,7 @@ from pm3dof_pin.exceptions import (
     DescriptionError,
     InvalidValueError,
     ProgramError,
+    ShapeError,
     UnreachablePoseError,
 )
 from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
@@ -308,7 +309,7 @@ class Robot(Mechanism):
         engine = self._engine(engine)
         positions = real_array("q", q)
         if positions.ndim == 0 or positions.shape[-1] != self.model.nq:
-            raise InvalidValueError("q", f"an array of shape {positions.shape}", f"shape (..., {self.model.nq})")
+            raise ShapeError("q", positions.shape, f"(..., {self.model.nq})")
         rows = positions.reshape(math.prod(positions.shape[:-1]), self.model.nq)  # nq may be 0
         if engine == "pinocchio" or len(rows) < _MANY:
             return Poses(self, positions)
@@ -451,8 +452,8 @@ class Robot(Mechanism):
         names = ", ".join(coordinate.name for coordinate in coordinates)
         targets = real_array(name, values.values if isinstance(values, Grid) else values)
         if targets.ndim == 0 or targets.shape[-1] != len(coordinates):
-            expected = f"shape (..., {len(coordinates)}): {names}"
-            raise InvalidValueError(name, f"an array of shape {targets.shape}", expected)
+            expected = f"(..., {len(coordinates)}): {names}"
+            raise ShapeError(name, targets.shape, expected)
         if on_failure == "raise":
             finite_array(f"{name} ({names})", targets, targets.shape)
         if (np.abs(targets[np.isfinite(targets)]) > _GREATEST).any():
@@ -505,7 +506,7 @@ class Robot(Mechanism):
         nq = self.model.nq
         starts = real_array("guess", guess.q if isinstance(guess, Configuration) else guess)
         if starts.shape not in ((nq,), (*shape, nq)):
-            raise InvalidValueError("guess", f"an array of shape {starts.shape}", f"shape ({nq},) or {(*shape, nq)}")
+            raise ShapeError("guess", starts.shape, f"({nq},) or {(*shape, nq)}")
         return np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
 
     def _unreachable(self, coordinates: tuple[Coordinate, ...], target: Vector, which: str) -> UnreachablePoseError:

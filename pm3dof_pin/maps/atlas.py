@@ -92,7 +92,7 @@ class Atlas:
         require_choice("precision", self.precision, Precision)
         object.__setattr__(self, "path", Path(self.path))
         if not self.grid.axes:
-            raise InvalidValueError("grid", "one pose", "at least one coordinate with a range")
+            raise InvalidValueError("grid", problem="is one pose", expected="at least one coordinate with a range")
         if self.path.suffix not in (".nc", ".zarr"):
             raise InvalidValueError("path", self.path, "a name ending in .nc or .zarr")
         self.selected  # noqa: B018  raises at once for an unknown name

@@ -37,7 +37,9 @@ def whole_workspace_grid(robot: Robot, points: int) -> Grid:
     ranges = {c.name: robot.range_of(c) for c in robot.coordinates}
     limited = {name: (*ends, points) for name, ends in ranges.items() if np.isfinite(ends).all()}
     if not limited:
-        raise InvalidValueError("grid", f"no range for {', '.join(ranges)}", "coordinates with ranges; sample poses")
+        raise InvalidValueError(
+            "grid", problem=f"has no range for {', '.join(ranges)}", expected="coordinates with ranges; sample poses"
+        )
     if points ** len(limited) > _MOST_POSES:
         most = math.floor(_MOST_POSES ** (1.0 / len(limited)) + 1e-9)
         expected = f"at most {most} over {len(limited)} coordinates; or sample poses"

@@ -54,7 +54,9 @@ class Instrument:
         if not (np.isfinite(sigma) and sigma > 0.0):
             raise InvalidValueError("noise of a target", sigma, "a positive number of metres")
         if count < 3 or not radius > 0.0:
-            raise InvalidValueError("targets", f"{count} at {radius} m", "at least 3 at a positive radius")
+            raise InvalidValueError(
+                "targets", problem=f"are {count} at {radius} m", expected="at least 3 at a positive radius"
+            )
         return cls("pose", sigma / np.sqrt(count), sigma / (radius * np.sqrt(count / 2.0)))
 
     @property

@@ -18,7 +18,7 @@ from pm3dof_pin.errors.pose_error import (
     rotation_vector_rates,
     tip_weights,
 )
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.encoders import joint_coordinates
 from pm3dof_pin.measuring.instrument import Instrument, Measured
@@ -109,12 +109,14 @@ class Measurements:
         ]
         for name, array, shape in shapes:
             if array is not None and (array.shape != shape or not np.isfinite(array).all()):
-                expected = f"finite numbers of shape {shape}, one row per measurement"
-                raise InvalidValueError(name, f"an array of shape {array.shape}", expected)
+                expected = f"finite numbers, {shape}, one row per measurement"
+                raise ShapeError(name, array.shape, expected)
         if self.distances is not None and (
             self.origins is None or self.partners is None or self.origins.shape != (n, 3) or len(self.distances) != n
         ):
-            raise InvalidValueError("distances", f"of {len(self.distances)} rows", f"{n}, with origins and partners")
+            raise InvalidValueError(
+                "distances", problem=f"have {len(self.distances)} rows", expected=f"{n}, with origins and partners"
+            )
         if not np.all(self.sigmas > 0.0):
             raise InvalidValueError("sigmas", float(self.sigmas.min()), "positive numbers")
         for name in ("target_sigma", "tool_point_sigma"):
@@ -190,7 +192,7 @@ class Measurements:
         seen_by = instrument or Instrument()
         commands = np.array(real_array("commands", commands))
         if commands.ndim != 2:
-            raise InvalidValueError("commands", f"an array of shape {commands.shape}", "shape (n, number of commands)")
+            raise ShapeError("commands", commands.shape, "(n, number of commands)")
         poses = finite_array("transforms", transforms, (len(commands), 4, 4))
         if seen_by.targets:
             return cls._of_targets(commands, poses, seen_by)
@@ -286,8 +288,8 @@ class Measurements:
 
     def _own_frame(self) -> Registration:
         if self.registration is None:
-            expected = "those of an instrument with its own frame"
-            raise InvalidValueError("measurements", "in the base's own axes", expected)
+            problem = "are in the base's own axes, not in an instrument's: there is no frame to find"
+            raise InvalidValueError("measurements", problem=problem)
         return self.registration
 
     def with_points(self, points: Array) -> Measurements:

@@ -103,7 +103,9 @@ def _nearest(seen: Array, expected: Array, turned: Array | None) -> Registration
         extents = np.linalg.svd(products, compute_uv=False)
         if extents[1] <= _ON_A_LINE * extents[0]:
             raise InvalidValueError(
-                "positions", "on one line", "poses, or several targets: the rotation about a line is undetermined"
+                "positions",
+                problem="lie on one line",
+                expected="poses, or several targets, since the rotation about a line is undetermined",
             )
     else:
         products = products + turned

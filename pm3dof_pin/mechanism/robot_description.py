@@ -36,7 +36,8 @@ def read_source(
     if isinstance(source, (str, Path)):
         return read_description(find_robot(source, package_paths, xacro_args), tool_frame)
     if given := [name for name, value in (("package_paths", package_paths), ("xacro_args", xacro_args)) if value]:
-        raise InvalidValueError(given[0], "given", f"a file to read with it, not a {type(source).__name__}")
+        problem = f"are for descriptions in files, not for a {type(source).__name__}"
+        raise InvalidValueError(given[0], problem=problem)
     if isinstance(source, pin.Model):
         model = source.copy()
         _free_joints_without_limits(model, (), source.name)
@@ -45,8 +46,8 @@ def read_source(
         return read_description(find_robot(_urdf_file(source)), tool_frame)
     raise InvalidValueError(
         "robot",
-        f"a {type(source).__name__}",
-        "the name of a robot, the path of its description, a pinocchio.Model or a yourdfpy.URDF",
+        problem=f"is of type {type(source).__name__}",
+        expected="the name of a robot, the path of its description, a pinocchio.Model or a yourdfpy.URDF",
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.programs.program import Program
 
 EXPRESSIONS = {
@@ -110,7 +110,7 @@ def _harmless(text: str) -> str:
 def _table(program: Program, values: np.ndarray) -> list[str]:
     if values.shape != (len(program.parameters),):
         expected = f"{len(program.parameters)} values, as {program.name} has parameters"
-        raise InvalidValueError("parameters", f"an array of shape {values.shape}", expected)
+        raise ShapeError("parameters", values.shape, expected)
     if not len(values):
         return []
     rows = (

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
@@ -160,7 +160,7 @@ class _Given(NamedTuple):
 def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[str, ...], dense: bool) -> _Given:
     graph, rows = Graph(), np.array(samples, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != mechanism.model.nq:
-        raise InvalidValueError("samples", f"an array of shape {rows.shape}", f"shape (s, {mechanism.model.nq})")
+        raise ShapeError("samples", rows.shape, f"(s, {mechanism.model.nq})")
     q = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(mechanism.model.nq)])
     further = [graph.input(name, np.zeros(len(rows))) for name in state]
     held = [mechanism.single_joint(name) for name in task.joints]

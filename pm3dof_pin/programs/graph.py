@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.programs.program import CODES, OPERATIONS, Program
 
 
@@ -47,9 +47,7 @@ class Graph:
         """
         known = np.array(samples, dtype=float)
         if known.ndim != 1 or (self._inputs and len(known) != self._sample_count):
-            raise InvalidValueError(
-                f"samples of {name}", f"array of shape {known.shape}", f"shape ({self._sample_count},)"
-            )
+            raise ShapeError(f"samples of {name}", known.shape, f"({self._sample_count},)")
         self._sample_count = len(known)
         self._inputs[name] = number = self._leaf(name)
         self._constant_samples(number, known)

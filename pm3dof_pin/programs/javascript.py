@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.programs.c import EXPRESSIONS, literal
 from pm3dof_pin.programs.program import Program
 
@@ -36,7 +36,7 @@ def javascript(program: Program, parameters: ArrayLike | None = None) -> str:
         values = np.asarray(parameters, dtype=float)
         if values.shape != (len(program.parameters),):
             expected = f"{len(program.parameters)} values, as {program.name} has parameters"
-            raise InvalidValueError("parameters", f"an array of shape {values.shape}", expected)
+            raise ShapeError("parameters", values.shape, expected)
         names += map(_literal, values.tolist())
     names += map(_literal, program.constants)
     lines = []

@@ -14,7 +14,7 @@ import numpy as np
 from llvmlite import binding
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.exceptions import InvalidValueError, ProgramError
+from pm3dof_pin.exceptions import InvalidValueError, ProgramError, ShapeError
 from pm3dof_pin.programs import llvm_ir
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.walk import CLOSED, NEARLY_CLOSED, SHORTEST_LEG, STEPS, Walk
@@ -310,11 +310,13 @@ class Compiled:
         expected = (n, m, len(program.inputs) - nq - 2), (m - known, llvm_ir.HISTORY)
         if nq != program.state_size - 2 or (given.shape, shares.shape) != expected or known < 1:
             raise InvalidValueError(
-                "lines", f"arrays of shape {lines.shape}, {given.shape}, {shares.shape}", f"{expected}"
+                "lines", problem=f"have shapes {lines.shape}, {given.shape}, {shares.shape}", expected=f"{expected}"
             )
         for name, values in (("lines", lines), ("given", given)):
             if values.dtype != np.float64 or (values.strides[2] != 8 and values.shape[2] > 1):
-                raise InvalidValueError(name, f"{values.dtype} array of strides {values.strides}", "contiguous rows")
+                raise InvalidValueError(
+                    name, problem=f"is {values.dtype} with strides {values.strides}", expected="contiguous rows"
+                )
         if not len(shares):
             return
         step = lines.strides[1] // 8
@@ -344,7 +346,7 @@ class Compiled:
         shared = np.ascontiguousarray(parameters, dtype=np.float64)
         if shared.shape != (len(self.program.parameters),):
             expected = f"shape ({len(self.program.parameters)},)"
-            raise InvalidValueError("parameters", f"array of shape {shared.shape}", expected)
+            raise ShapeError("parameters", shared.shape, expected)
         n = len(rows)
         self._poses += n * length
         if self._faster is not None and self._poses > MANY_POSES:
@@ -408,7 +410,7 @@ def _rows(name: str, values: ArrayLike, columns: int) -> Array:
     """Return an array with contiguous rows, without a copy if possible."""
     rows = np.asarray(values, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != columns:
-        raise InvalidValueError(name, f"array of shape {rows.shape}", f"shape (n, {columns})")
+        raise ShapeError(name, rows.shape, f"(n, {columns})")
     if rows.strides[1] != 8 or rows.strides[0] % 8 or not rows.flags.aligned:
         rows = np.ascontiguousarray(rows)
     return rows
@@ -418,6 +420,8 @@ def _writable(name: str, rows: Array, n: int, columns: int) -> Array:
     fits = rows.shape == (n, columns) and rows.dtype == np.float64 and rows.flags.writeable and rows.flags.aligned
     if not fits or (columns > 1 and rows.strides[1] != 8) or rows.strides[0] % 8:
         raise InvalidValueError(
-            name, f"{rows.dtype} array of shape {rows.shape}", f"a writable float64 array of shape ({n}, {columns})"
+            name,
+            problem=f"is {rows.dtype} of shape {rows.shape}",
+            expected=f"a writable float64 array of shape ({n}, {columns})",
         )
     return rows

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.geometry import Geometry
 from pm3dof_pin.programs.graph import Graph, Scalar, is_zero
@@ -54,7 +54,7 @@ class Tree:
     ) -> None:
         model, rows = mechanism.model, np.array(samples, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != model.nq:
-            raise InvalidValueError("samples", f"an array of shape {rows.shape}", f"shape (s, {model.nq})")
+            raise ShapeError("samples", rows.shape, f"(s, {model.nq})")
         self.graph = graph
         self.mechanism = mechanism
         if positions is None:

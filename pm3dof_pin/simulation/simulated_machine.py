@@ -24,7 +24,7 @@ from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.thermal_growth import ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import GuideWaviness
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.typing import Array, Vector
@@ -146,7 +146,7 @@ class SimulatedMachine:
         """
         given = real_array("commands", commands)
         if given.ndim != 2:
-            raise InvalidValueError("commands", f"an array of shape {given.shape}", "shape (n, number of commands)")
+            raise ShapeError("commands", given.shape, "(n, number of commands)")
         noise = correlated_normal((instrument or Instrument()).covariance, len(given), generator)
         if self.vibration is not None:
             noise = noise + self.vibration.tool_displacements(self.nominal.forward(given), generator)
@@ -230,7 +230,7 @@ def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     try:
         rows = np.array(np.broadcast_to(array, shape))
     except ValueError as error:
-        raise InvalidValueError(name, f"an array of shape {array.shape}", f"one that fits shape {shape}") from error
+        raise ShapeError(name, array.shape, f"one that fits shape {shape}") from error
     if not np.isfinite(rows).all():
-        raise InvalidValueError(name, "not finite", "finite numbers")
+        raise InvalidValueError(name, problem="is not finite", expected="finite numbers")
     return rows

@@ -438,11 +438,13 @@ class Viewer(ShownScene):
         """
         frames = len(configurations)
         if frames < 2:
-            raise InvalidValueError("configurations", f"{frames} of them", "at least two")
+            raise InvalidValueError("configurations", problem=f"are {frames}", expected="at least two")
         given: list[Sequence[ArrayLike | None]] = []
         for name, values in (("stiffness", stiffness), ("compliance", compliance), ("forces", forces)):
             if values is not None and len(values) != frames:
-                raise InvalidValueError(name, f"{len(values)} of them", f"one for each of {frames} frames")
+                raise InvalidValueError(
+                    name, problem=f"has {len(values)} entries", expected=f"one for each of {frames} frames"
+                )
             given.append([None] * frames if values is None else values)
         if not (np.isfinite(duration) and duration > 0.0):
             raise InvalidValueError("duration", duration, "a positive time [s]")

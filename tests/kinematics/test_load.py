@@ -69,7 +69,7 @@ def test_arguments_of_a_xacro_file(tmp_path: Path, model: pin.Model) -> None:
         pm.load(path, xacro_args={"lenght": "0.3"})
     with pytest.raises(DescriptionError, match="not a xacro file"):
         pm.load("ur5", xacro_args={"length": "0.7"})
-    with pytest.raises(InvalidValueError, match="a file to read with it"):
+    with pytest.raises(InvalidValueError, match="for descriptions in files"):
         pm.load(model, xacro_args={"length": "0.7"})
 
 

@@ -99,7 +99,7 @@ def test_a_pose_out_of_reach_is_named(mechanism: Robot) -> None:
 
 
 def test_arguments_are_checked(mechanism: Robot) -> None:
-    with pytest.raises(InvalidValueError, match=r"shape \(\.\.\., 3\): u1, u2, u3"):
+    with pytest.raises(InvalidValueError, match=r"expected \(..., 3\): u1, u2, u3"):
         mechanism.forward([0.0, 0.0])
     with pytest.raises(InvalidValueError, match="finite"):
         mechanism.solve([[0.0, 0.0, 0.5], [np.nan, 0.0, 0.5]])

@@ -224,11 +224,11 @@ def test_march_predicts_along_lines_and_ends_them_where_a_pose_is_not_accepted(l
 
 def test_errors():
     find = root_finder()
-    with pytest.raises(InvalidValueError, match=r"inputs = array of shape \(3, 1\): expected shape \(n, 2\)"):
+    with pytest.raises(InvalidValueError, match=r"inputs of shape \(3, 1\): expected \(n, 2\)"):
         find(np.zeros((3, 1)))
-    with pytest.raises(InvalidValueError, match=r"parameters = .* expected shape \(0,\)"):
+    with pytest.raises(InvalidValueError, match=r"parameters of shape .* expected \(0,\)"):
         find(np.zeros((3, 2)), [1.0])
-    with pytest.raises(InvalidValueError, match=r"out = float32 array .* shape \(3, 2\)"):
+    with pytest.raises(InvalidValueError, match=r"out is float32 of shape .* shape \(3, 2\)"):
         find(np.zeros((3, 2)), out=np.zeros((3, 2), dtype=np.float32))
     with pytest.raises(InvalidValueError, match="max_steps = 0"):
         find.iterate(np.zeros((3, 2)), tolerance=1.0, max_steps=0)
