@@ -85,8 +85,8 @@ class CsvTable:
         except csv.Error as error:
             raise MeasurementError(path, f"expected CSV ({error})", [reader.line_num]) from error
         table = np.array(rows, dtype=float).reshape(len(rows), len(self.header))
-        self.written = dict(zip(headings, table.T, strict=True))
-        self.columns = dict(zip(self.header, (table * factors).T, strict=True))
+        self.written: dict[str, Array] = dict(zip(headings, table.T, strict=True))
+        self.columns: dict[str, Array] = dict(zip(self.header, (table * factors).T, strict=True))
 
     def __len__(self) -> int:
         return len(self.lines)

@@ -5,20 +5,19 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Iterable
 from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 import pm3dof_pin
-from pm3dof_pin.cli.options import with_groups
+from pm3dof_pin.cli.options import RepeatableCommand, with_groups
+from pm3dof_pin.description.expand import trust_xacro as allow_xacro
 from pm3dof_pin.exceptions import PM3DofError
 
 _WORK_FAILED = 1
-NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
-"""Settings of commands that take a pose: -15 is a number, and a misspelt option is an argument that is not a number."""
+_HELP = "Kinematics, stiffness and calibration of closed-chain robots. Angles in DEGREES, lengths in metres."
 
 COMMANDS = {
     "info": ("info", "Summary of a robot and of what its description lacks"),
@@ -43,42 +42,33 @@ COMMANDS = {
 }
 """For each command: its module in pm3dof_pin.cli (the function has the command's name) and its line in the list."""
 
-_OF_MAPS = {"stiffness-map", "workspace", "atlas", "evaluate", "error-map"}
+# -15 is a number for these, and a misspelt option an argument that is not a number
 _WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view"}
 
 
-def _make_app(commands: Iterable[str] = COMMANDS) -> typer.Typer:
-    """Return the command with the given subcommands, importing only their modules."""
-    app = typer.Typer(
-        name="pm3dof",
-        help="Kinematics, stiffness and calibration of closed-chain robots. Angles in DEGREES, lengths in metres.",
-        epilog="Exit status: 0 done, 1 failure or broken joint limit, 2 wrong usage.",
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        rich_markup_mode=None,
-        context_settings={"help_option_names": ["-h", "--help"]},
-    )
-    app.callback()(_options)
-    for name in commands:
-        module, summary = COMMANDS[name]
-        function = getattr(import_module(f"pm3dof_pin.cli.{module}"), name.replace("-", "_"))
-        settings = NEGATIVE_NUMBERS if name in _WITH_POSE else None
-        kind = _map_command() if name in _OF_MAPS else None
-        app.command(name, cls=kind, context_settings=settings, short_help=summary)(with_groups(function))
-    return app
+class _Commands(TyperGroup):
+    """The subcommands; the module of one is imported when it is run, or its options are asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return their names."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> TyperCommand | None:
+        """Return a command with its line in the list, which is all that the help and completion of names need."""
+        return TyperCommand(cmd_name, short_help=COMMANDS[cmd_name][1]) if cmd_name in COMMANDS else None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the name, the command itself, and its arguments."""
+        name, command, arguments = super().resolve_command(ctx, args)
+        return name, command and _command(command.name or ""), arguments
 
 
-def _map_command() -> type[TyperCommand]:
-    from pm3dof_pin.cli.map_options import MapCommand
-
-    return MapCommand
-
-
-def __getattr__(name: str) -> Any:
-    """Build the whole command, `app`, on first access."""
-    if name != "app":
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return _make_app()
+def _command(name: str) -> Any:
+    function = getattr(import_module(f"pm3dof_pin.cli.{COMMANDS[name][0]}"), name.replace("-", "_"))
+    alone = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    settings = {"ignore_unknown_options": True} if name in _WITH_POSE else None
+    alone.command(name, cls=RepeatableCommand, context_settings=settings)(with_groups(function))
+    return typer.main.get_command(alone)
 
 
 def _print_version(wanted: bool) -> None:
@@ -87,19 +77,28 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+app = typer.Typer(
+    name="pm3dof",
+    cls=_Commands,
+    epilog="Exit status: 0 done, 1 failure or broken joint limit, 2 wrong usage.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback(
+    help="Kinematics, stiffness and calibration of closed-chain robots. Angles in DEGREES, lengths in metres."
+)
 def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
-    trust_xacro: Annotated[
-        bool,
-        typer.Option("--trust-xacro", help="Run xacro files without the sandbox."),
-    ] = False,
+    trust_xacro: Annotated[bool, typer.Option("--trust-xacro", help="Run xacro files without the sandbox.")] = False,
 ) -> None:
     if trust_xacro:
-        from pm3dof_pin.description import expand
-
-        expand.trust_xacro()
+        allow_xacro()
 
 
 def main() -> None:
@@ -110,15 +109,12 @@ def main() -> None:
     # the matrices are small: BLAS threads would only contend with each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it logs its font search
-    command = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
     try:
-        _make_app([command] if command in COMMANDS else COMMANDS)(prog_name="pm3dof")
-    except PM3DofError as error:
-        typer.echo(f"pm3dof: {error}", err=True)
+        app(prog_name="pm3dof")
     except MemoryError as error:
-        typer.echo(f"pm3dof: not enough memory{f': {error}' if str(error) else ''}", err=True)
-    except OSError as error:
-        typer.echo(f"pm3dof: {error}", err=True)
+        typer.echo(f"Error: not enough memory{f': {error}' if str(error) else ''}", err=True)
+    except (PM3DofError, OSError) as error:
+        typer.echo(f"Error: {error}", err=True)
     else:
         return
     sys.exit(_WORK_FAILED)

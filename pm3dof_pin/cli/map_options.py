@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperCommand
 
 from pm3dof_pin.cli import completion
-from pm3dof_pin.cli.options import finite_number
+from pm3dof_pin.cli.options import NUMBER_OF_VALUES, finite_number
 from pm3dof_pin.cli.output import message
 from pm3dof_pin.cli.poses import check_units, in_si
 from pm3dof_pin.description.coordinates import Coordinate, shown_in
@@ -36,7 +34,7 @@ class CoordinateRange:
     def parse(cls, text: str) -> CoordinateRange:
         """Read NAME FIRST LAST COUNT."""
         words = text.split()
-        if len(words) != _VALUES["--range"] or not words[3].isdigit():
+        if len(words) != NUMBER_OF_VALUES["--range"] or not words[3].isdigit():
             raise typer.BadParameter(f"expected NAME FIRST LAST COUNT, not '{text}'")
         return cls(words[0], finite_number(words[1]), finite_number(words[2]), int(words[3]))
 
@@ -44,28 +42,9 @@ class CoordinateRange:
     def parse_value(cls, text: str) -> CoordinateRange:
         """Read NAME VALUE."""
         words = text.split()
-        if len(words) != _VALUES["--at"]:
+        if len(words) != NUMBER_OF_VALUES["--at"]:
             raise typer.BadParameter(f"expected NAME VALUE, not '{text}'")
         return cls(words[0], finite_number(words[1]), finite_number(words[1]))
-
-
-class MapCommand(TyperCommand):
-    """A command with repeatable options of several values, which Typer does not support."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join the values of such an option into one, then parse as usual."""
-        joined: list[str] = []
-        rest = deque(args)
-        while rest:
-            joined.append(rest.popleft())
-            count = _VALUES.get(joined[-1], 0)
-            if count and rest and " " not in rest[0]:
-                joined.append(" ".join(rest.popleft() for _ in range(min(count, len(rest)))))
-        return super().parse_args(ctx, joined)
-
-
-_VALUES = {"--range": 4, "--over": 4, "--at": 2}
-"""Number of values of each such option."""
 
 
 def _ranges(name: str, metavar: str, parse: Callable[[str], CoordinateRange], text: str) -> Any:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import functools
 import inspect
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from pm3dof_pin.cli import completion
 
@@ -128,6 +130,25 @@ _PosesFile = Annotated[
 OutFile = Annotated[
     Path | None, typer.Option(metavar="FILE", help="With --poses: output CSV; standard output by default.")
 ]
+
+
+class RepeatableCommand(TyperCommand):
+    """A command with repeatable options of several values, which Typer does not support."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Join the values of such an option into one, then parse as usual."""
+        joined: list[str] = []
+        rest = deque(args)
+        while rest:
+            joined.append(rest.popleft())
+            count = NUMBER_OF_VALUES.get(joined[-1], 0)
+            if count and rest and " " not in rest[0]:
+                joined.append(" ".join(rest.popleft() for _ in range(min(count, len(rest)))))
+        return super().parse_args(ctx, joined)
+
+
+NUMBER_OF_VALUES = {"--range": 4, "--over": 4, "--at": 2}
+"""Number of values of each such option."""
 
 
 @dataclass(frozen=True, kw_only=True)

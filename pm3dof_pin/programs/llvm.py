@@ -345,7 +345,7 @@ class Compiled:
         """Call a function on the rows, in parts if there are threads; each row takes `length` evaluations."""
         shared = np.ascontiguousarray(parameters, dtype=np.float64)
         if shared.shape != (len(self.program.parameters),):
-            expected = f"shape ({len(self.program.parameters)},)"
+            expected = f"({len(self.program.parameters)},)"
             raise ShapeError("parameters", shared.shape, expected)
         n = len(rows)
         self._poses += n * length

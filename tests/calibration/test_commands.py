@@ -74,7 +74,7 @@ def test_one_source_of_errors_and_loads(place: Path, run: Run, answer: Answer) -
     assert 0.0 <= float(first.rsplit(",", 1)[1]) <= 50.0
     result = run("measure", "--world", "geometry", "--only", "thermal", cwd=place)
     assert (result.returncode, result.stdout) == (1, "")
-    assert result.stderr == "pm3dof: source = thermal: expected one that this machine has\n"
+    assert result.stderr == "Error: source = thermal: expected one that this machine has\n"
 
 
 def test_poses_that_a_machine_cannot_take_are_left_out(place: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,7 +188,7 @@ def test_poses_beyond_limits_and_reach(place: Path, run: Run) -> None:
     far = run("compensate", "0", "0", "1.5", "--calibration", "calibration", cwd=place)
     assert far.returncode == 1
     assert far.stdout == ""
-    assert far.stderr.startswith("pm3dof: ")
+    assert far.stderr.startswith("Error: ")
     assert "Traceback" not in far.stderr
 
 

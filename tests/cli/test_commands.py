@@ -60,7 +60,7 @@ def test_fk_where_only_other_assembly_modes_exist(answer: Answer, run: Run) -> N
     none = run("fk", "1", "0", "0", "--all")
     assert none.returncode == 1
     assert none.stdout == ""
-    assert none.stderr == "pm3dof: no pose closes the loops at u = (1, 0, 0) m: there is no assembly mode\n"
+    assert none.stderr == "Error: no pose closes the loops at u = (1, 0, 0) m: there is no assembly mode\n"
 
 
 def test_stiffness_of_the_chapter(answer: Answer) -> None:
@@ -127,7 +127,7 @@ def test_home_needs_no_name(answer: Answer, run: Run, tmp_path: Path) -> None:
     assert answer("statics", *robot, "--configuration", "home")["force_N"] == pytest.approx(home)
     wrong = run("statics", *robot, "--configuration", "nest")
     assert wrong.returncode == 1
-    assert wrong.stderr == "pm3dof: --configuration = nest: expected home, the only one there is\n"
+    assert wrong.stderr == "Error: --configuration = nest: expected home, the only one there is\n"
 
 
 def test_table_8_3(answer: Answer, run: Run) -> None:
@@ -321,7 +321,7 @@ def test_number_missing_from_the_yaml(answer: Answer, run: Run, tmp_path: Path) 
     for command in (["ik", "0", "0", "0.5"], ["table-8-3"], ["stiffness-map"], ["workspace"], ["atlas"]):
         result = run(*command, "--config", str(config), cwd=tmp_path)
         assert result.returncode == 1
-        assert result.stderr.strip().startswith(f"pm3dof: {config}: geometry.link_length: is missing")
+        assert result.stderr.strip().startswith(f"Error: {config}: geometry.link_length: is missing")
     assert list(tmp_path.iterdir()) == [config]
 
 
@@ -375,7 +375,7 @@ def test_full_disk_behind_standard_output() -> None:
     with Path("/dev/full").open("w") as full:
         result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert result.returncode == 1
-    assert result.stderr == "pm3dof: [Errno 28] No space left on device\n"
+    assert result.stderr == "Error: [Errno 28] No space left on device\n"
 
 
 def test_a_reader_that_leaves_early_is_no_error() -> None:

@@ -128,7 +128,7 @@ def test_a_bad_file_is_named_with_its_line(run: Run, text: str, words: str, tmp_
     (tmp_path / "poses.csv").write_text(text)
     done = run("ik", "--poses", "poses.csv", cwd=tmp_path)
     assert done.returncode == 1
-    assert done.stderr.startswith("pm3dof: poses.csv: ")
+    assert done.stderr.startswith("Error: poses.csv: ")
     assert words in done.stderr
     assert done.stdout == ""
 

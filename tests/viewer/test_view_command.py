@@ -102,7 +102,7 @@ def test_a_taken_port(run: Run) -> None:
         port = taken.getsockname()[1]
         result = run("0", "0", "0.5", "--no-open", "--port", str(port))
     assert result.returncode == 1
-    assert result.stderr == f"pm3dof: cannot listen on 127.0.0.1, port {port}: Address already in use\n"
+    assert result.stderr == f"Error: cannot listen on 127.0.0.1, port {port}: Address already in use\n"
 
 
 @pytest.mark.parametrize(
