@@ -24,7 +24,7 @@ def main(out: Path = RESULTS, engine: str = "program", points: int = 181, format
     tripod, grid = Tripod.load(), RectangularGrid(TILT, TILT, (points, points))
     robot = load("pm3dof") if engine == "pinocchio" else None
     section, variable = stiffness_section(tripod, grid, robot=robot).dataset(), "stiffness_global"
-    within = partial(tripod_space(tripod).within, levels=tripod.middle_height)
+    within = partial(tripod_space(tripod).within, level=tripod.middle_height)
     exact = None if robot else section_values(tripod, tripod.middle_height, variable)
     figure = section_map(section, variable, within=within, exact=exact)
     print(*save_pictures(figure, out / "figure_8_4", formats), sep="\n")

@@ -60,7 +60,7 @@ def _draw(app: Sphinx) -> None:
     space = tripod_space(tripod)
     reachable, printed = workspace(space, 61, 180), printed_ranges(tripod)
     save_figure(workspace_figure(reachable, printed), folder / "figure_8_2_workspace.png")
-    section, within = stiffness_section(tripod).dataset(), partial(space.within, levels=tripod.middle_height)
+    section, within = stiffness_section(tripod).dataset(), partial(space.within, level=tripod.middle_height)
     for name, quantity in PICTURES.items():
         exact = section_values(tripod, tripod.middle_height, quantity)
         save_figure(section_map(section, quantity, within=within, exact=exact), folder / name)

@@ -230,7 +230,7 @@ def _map_of_chapter(
             from pm3dof_pin.chapter.workspace import tripod_space
             from pm3dof_pin.figures.section_map import section_map
 
-            dataset, within = section.dataset(), partial(tripod_space(tripod).within, levels=z_e)
+            dataset, within = section.dataset(), partial(tripod_space(tripod).within, level=z_e)
             for done, name in enumerate(names, start=3):
                 exact = None if machine else section_values(tripod, z_e, PICTURES[name])
                 files += save(section_map(dataset, PICTURES[name], within=within, exact=exact), out / name, formats)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.typing import Array
 
 _SECTIONS, _DIRECTIONS = 121, 360  # of the tripod
-_FEW_SECTIONS, _FEW_DIRECTIONS = 31, 120  # of other robots
+_FEW_SECTIONS, _FEW_DIRECTIONS = 31, 240  # of other robots
 
 
 def workspace(
@@ -43,8 +43,11 @@ def workspace(
         int | None, typer.Option("--heights", "--sections", min=3, help="Number of sections (121; 31 with --robot).")
     ] = None,
     directions: Annotated[
-        int | None, typer.Option(min=8, help="Boundary points per section (360; 120 with --robot).")
+        int | None, typer.Option(min=8, help="Boundary points per section, about (360; 240 with --robot).")
     ] = None,
+    beyond_ranges: Annotated[
+        bool, typer.Option("--beyond-ranges", help="Go beyond the declared ranges of coordinates, up to other limits.")
+    ] = False,
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     formats: Formats = None,
     engine: EngineOption = "program",
@@ -53,23 +56,27 @@ def workspace(
     """Compute the workspace under all limits: boundary, areas, volume, which limit binds where (Fig. 8.2).
 
     Angles in degrees, lengths in metres. Sections over two coordinates are stacked along a third; the other coordinates
-    stay at home, or at the value of --at.
+    stay at home, or at the value of --at. Coordinates end at their declared ranges too.
     """
     from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges, printed_ranges
     from pm3dof_pin.chapter.workspace import tripod_space
+    from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.storage import write_map
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
-    given = which.robot or coordinate or values or which.tool_frame or engine != "program"
+    given = which.robot or coordinate or values or which.tool_frame or engine != "program" or beyond_ranges
     tripod = None
     with progress_bar("workspace") as progress:
         if given:
-            space = _robot_space(which.load(engine), coordinate, values)
+            space = _robot_space(which.load(engine), coordinate, values, beyond_ranges)
         else:
             tripod = which.tripod()
             space = tripod_space(tripod)
         sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
-        found = reachable_set(space, sections, directions or (_DIRECTIONS if tripod else _FEW_DIRECTIONS))
+        try:
+            found = reachable_set(space, sections, directions or (_DIRECTIONS if tripod else _FEW_DIRECTIONS))
+        except InvalidValueError as error:
+            raise typer.BadParameter(f"{space.machine}: {error}") from None
         progress(1, 4 if picture else 3)
         files = write_map(found.boundary(), out / "workspace")
         progress(3, 4 if picture else 3)
@@ -86,13 +93,15 @@ def workspace(
     print_result(result, _lines(found, result), as_json=as_json, files=files)
 
 
-def _robot_space(loaded: Robot, names: list[str] | None, values: list[CoordinateRange] | None) -> LimitSpace:
+def _robot_space(
+    loaded: Robot, names: list[str] | None, values: list[CoordinateRange] | None, beyond_ranges: bool
+) -> LimitSpace:
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.limit_space import robot_space
 
     fixed = robot_grid(loaded, [], values or ()).fixed
     try:
-        return robot_space(loaded, tuple(names) if names else None, fixed)
+        return robot_space(loaded, tuple(names) if names else None, fixed, declared_ranges=not beyond_ranges)
     except InvalidValueError as error:
         raise typer.BadParameter(f"{loaded.name}: {error}") from None
 
@@ -100,7 +109,7 @@ def _robot_space(loaded: Robot, names: list[str] | None, values: list[Coordinate
 def _result(found: Workspace) -> dict[str, Any]:
     space = found.space
     area_unit = f"{space.units[0]}2" if space.units[0] == space.units[1] else "_".join(space.units[:2])
-    result: dict[str, Any] = {}
+    result: dict[str, Any] = {"robot": space.machine}
     if space.stacked:
         name, unit = space.names[2], space.units[2]
         volume_unit = "m3" if set(space.units) == {"m"} else f"{area_unit}_{unit}"

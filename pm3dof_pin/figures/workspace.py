@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,11 @@ from numpy.typing import NDArray
 from pm3dof_pin.figures.labels import axis_label, drawn, plain, symbol
 from pm3dof_pin.figures.space import flat_quadrilaterals, towards_viewer
 from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, limit_styles, new_figure, round_ticks
-from pm3dof_pin.maps.boundary_faces import BoundaryFaces, boundary_faces
 from pm3dof_pin.maps.limit_space import Flags
-from pm3dof_pin.maps.workspace import Workspace
-from pm3dof_pin.maps.workspace_section import WorkspaceSection
+from pm3dof_pin.maps.workspace import Workspace, WorkspaceSection
 from pm3dof_pin.typing import Array
 
 _OUTLINES = 6  # number of drawn outlines of sections
-_CELLS = {2: 80, 3: 41}  # of the grid for outlines and the solid, along each coordinate
 _DASHES = 36  # per edge of the printed box
 _ELEVATION, _AZIMUTH = 18.0, -60.0  # of the view of the solid [deg]
 _BOX = np.array([1.0, 1.0, 1.1])  # sides of the drawing
@@ -47,8 +43,8 @@ def workspace_figure(workspace: Workspace, printed: Array | None = None) -> Figu
             f"Reachable set under all {'' if printed is None else 'joint '}limits: {plain(workspace.space.machine)}"
         )
         # placed manually: layout engines do not know the size of labels in 3D
-        if sheet.solid is not None:
-            _draw_solid(figure.add_axes((-0.035, 0.05, 0.625, 0.92), projection="3d"), sheet, sheet.solid)
+        if workspace.space.stacked:
+            _draw_solid(figure.add_axes((-0.035, 0.05, 0.625, 0.92), projection="3d"), sheet)
             _draw_outlines(figure.add_axes((0.655, 0.475, 0.325, 0.455)), sheet)
             _draw_profile(figure.add_axes((0.655, 0.095, 0.325, 0.27)), sheet)
         else:
@@ -70,10 +66,10 @@ class _Sheet:
         if printed is not None:
             self.printed = np.array([drawn(row, unit) for row, unit in zip(printed, space.units, strict=True)])
         self.limits = self._axes_limits()
-        self.outlines = [self._faces(partial(space.flags, levels=section.level), 2) for section in self.sections]
-        self.solid = self._faces(space.broken_limits, 3) if space.stacked else None
         # if several limits bind, the first is shown; those shown have individual colours
-        flags = np.concatenate([faces.limits for faces in (*self.outlines, *([self.solid] if self.solid else []))])
+        self.surface = workspace.surface() if space.stacked else None
+        drawn_limits = [limits for section in self.sections for limits in section.limits]
+        flags = np.concatenate([*drawn_limits, *([self.surface.limits] if self.surface else [])])
         self.shown_limits = [space.limits[k] for k in np.unique(_first(flags[flags > 0]))]
         self.styles = limit_styles([*self.shown_limits, *(n for n in space.limits if n not in self.shown_limits)])
 
@@ -94,20 +90,45 @@ class _Sheet:
         ends = levels if self.printed is None else np.concatenate([levels, self.printed[2]])
         return np.vstack([plane, [ends.min(), ends.max()]])
 
-    def _faces(self, broken_limits: Callable[[Array], Flags], dimensions: int) -> BoundaryFaces:
-        """Return the faces of the solid or of a section in display units."""
-        ranges = np.vstack([self.workspace.ranges, self.workspace.level_range])[:dimensions]
-        faces = boundary_faces(broken_limits, ranges, _CELLS[dimensions])
-        factors = np.array([float(drawn(1.0, unit)) for unit in self.units[:dimensions]])
-        return BoundaryFaces(faces.corners * factors, faces.normals / factors, faces.limits)
+    def drawn(self, points: Array) -> Array:
+        """Return points over the first two or three coordinates in display units."""
+        columns = zip(np.moveaxis(points, -1, 0), self.units, strict=False)
+        return np.stack([drawn(column, unit) for column, unit in columns], axis=-1)
 
-    def points(self, section: WorkspaceSection) -> Array:
-        """Return boundary points of a section in display units, shape=(m, 2)."""
-        return np.column_stack([drawn(c, unit) for c, unit in zip(section.points.T, self.units, strict=False)])
+    def outline(self, section: WorkspaceSection) -> tuple[Array, Array]:
+        """Return the pieces of a section's lines, shape=(m, 2, 2), in display units, and their colours."""
+        pieces, colors = [np.empty((0, 2, 2))], [np.empty((0, 4))]
+        for line, limits in zip(section.lines, section.limits, strict=True):
+            points, color = self.drawn(line), self.colors(limits)
+            middles = 0.5 * (points + np.roll(points, -1, axis=0))  # each half has the colour of its end
+            pieces += [np.stack([points, middles], axis=1), np.stack([middles, np.roll(points, -1, axis=0)], axis=1)]
+            colors += [color, np.roll(color, -1, axis=0)]
+        return np.concatenate(pieces), np.concatenate(colors)
+
+    def solid(self) -> tuple[Array, Array]:
+        """Return the faces of the surface, shape=(n, 4, 3), in display units, and the limits behind them.
+
+        Triangles between several limits are divided among their corners.
+        """
+        surface = self.surface
+        assert surface is not None
+        points = self.drawn(surface.points)[surface.triangles]
+        limits = _first(surface.limits)[surface.triangles]
+        mixed = np.any(limits != limits[:, :1], axis=1)
+        whole = points[~mixed][:, [0, 1, 2, 2]]
+        corners, middle = points[mixed], points[mixed].mean(axis=1)
+        sides = 0.5 * (corners + np.roll(corners, -1, axis=1))
+        parts = [np.stack([corners[:, k], sides[:, k], middle, sides[:, k - 1]], axis=1) for k in range(3)]
+        return np.concatenate([whole, *parts]), np.concatenate([limits[~mixed, 0], *limits[mixed].T])
 
     def colors(self, flags: Flags) -> Array:
         """Return the colour of each set of limits, that of the first if several bind, shape=(..., 4)."""
-        return np.array([to_rgba(self.styles[name][0]) for name in self.workspace.space.limits])[_first(flags)]
+        return self.limit_colors[_first(flags)]
+
+    @property
+    def limit_colors(self) -> Array:
+        """Colour of each limit, shape=(n, 4)."""
+        return np.array([to_rgba(self.styles[name][0]) for name in self.workspace.space.limits])
 
     @cached_property
     def sections(self) -> list[WorkspaceSection]:
@@ -125,22 +146,25 @@ def _first(flags: Flags) -> NDArray[np.intp]:
     return np.asarray(np.log2(np.maximum(lowest, 1)).astype(np.intp))
 
 
-def _draw_solid(axes: Any, sheet: _Sheet, solid: BoundaryFaces) -> None:
+def _draw_solid(axes: Any, sheet: _Sheet) -> None:
     scale = _BOX / np.ptp(sheet.limits, axis=1)
     towards = towards_viewer(_ELEVATION, _AZIMUTH)
-    normals = solid.normals / scale
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    solid, limits = sheet.solid()
+    normals = np.cross((solid[:, 1] - solid[:, 0]) * scale, (solid[:, 2] - solid[:, 0]) * scale)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     facing = normals @ towards > -1e-3  # hidden back faces would show as a fringe
-    colors = sheet.colors(solid.limits)
+    colors = sheet.limit_colors[limits]
     colors[:, :3] *= (0.68 + 0.32 * normals @ (_LIGHT / np.linalg.norm(_LIGHT)))[:, None]
     levels = drawn([section.level for section in sheet.sections], sheet.units[2])
-    lines = [_raised(o, level, towards / scale) for o, level in zip(sheet.outlines, levels, strict=True)]
+    lines = [
+        _raised(sheet.outline(s)[0], level, towards / scale) for s, level in zip(sheet.sections, levels, strict=True)
+    ]
     lines += [] if sheet.printed is None else [_dashed(sheet.printed)]
     edges = np.concatenate([np.empty((0, 4, 3)), *lines]) + 0.02 * towards / scale
     all_colors = np.concatenate([colors[facing], np.tile(to_rgba(INK), (len(edges), 1))])
     axes.add_collection3d(
         Poly3DCollection(
-            np.concatenate([solid.corners[facing], edges]),
+            np.concatenate([solid[facing], edges]),
             facecolors=all_colors,
             edgecolors=all_colors,
             linewidths=0.25,
@@ -160,9 +184,10 @@ def _draw_solid(axes: Any, sheet: _Sheet, solid: BoundaryFaces) -> None:
     axes.set_box_aspect(_BOX, zoom=0.95)
 
 
-def _raised(outline: BoundaryFaces, level: float, towards: Array) -> Array:
+def _raised(outline: Array, level: float, towards: Array) -> Array:
     """Return the part of an outline that faces the viewer, as flat polygons at its level, shape=(n, 4, 3)."""
-    corners = outline.corners[outline.normals @ towards[:2] > 0.0]
+    along = outline[:, 1] - outline[:, 0]
+    corners = outline[along[:, 1] * towards[0] - along[:, 0] * towards[1] > 0.0]
     return flat_quadrilaterals(np.concatenate([corners, np.full((*corners.shape[:2], 1), level)], axis=2))
 
 
@@ -175,12 +200,12 @@ def _dashed(ranges: Array) -> Array:
 
 
 def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
-    for place, (section, outline) in enumerate(zip(sheet.sections, sheet.outlines, strict=True)):
-        colors = sheet.colors(outline.limits)
-        axes.add_collection(LineCollection(list(outline.corners), colors=colors, linewidths=1.2, capstyle="round"))
+    for place, section in enumerate(sheet.sections):
+        pieces, colors = sheet.outline(section)
+        axes.add_collection(LineCollection(list(pieces), colors=colors, linewidths=1.2, capstyle="round"))
         if sheet.workspace.space.stacked:
             # each level is labelled on its own line, in its own direction
-            points = sheet.points(section)
+            points = sheet.drawn(section.points)
             x, y = points[int((place + 0.25) * len(points) / len(sheet.sections))]
             box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
             level = float(drawn(section.level, sheet.units[2]))
@@ -188,7 +213,9 @@ def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
             text = text.replace("-", "\N{MINUS SIGN}")
             axes.text(x, y, text, fontsize=6.5, ha="center", va="center", bbox=box)
     if sheet.workspace.space.stacked:
-        axes.text(0.02, 0.98, f"on the lines: {sheet.labels[2]}", fontsize=7.0, va="top", transform=axes.transAxes)
+        box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
+        words = f"on the lines: {sheet.labels[2]}"
+        axes.text(0.02, 0.98, words, fontsize=7.0, va="top", bbox=box, transform=axes.transAxes)
     if sheet.printed is not None:
         axes.add_patch(_rectangle(sheet.printed[0], sheet.printed[1]))
     axes.set(xlabel=sheet.labels[0], ylabel=sheet.labels[1], aspect="equal" if sheet.same_unit else "auto")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -18,22 +18,20 @@ if TYPE_CHECKING:
 
 Flags: TypeAlias = NDArray[np.uint32]
 
-_SAMPLES = 24  # samples along a ray from the middle of a coordinate's range to its end
-_OUTSIDE = 1.5  # least length of a ray, in half ranges
-_FARTHEST = 12.0  # greatest length
-_DIRECTIONS = 24
-_LEVELS = 9
-_PLANE = 2
+DECLARED_RANGE = "declared_range"
+"""Name of the limit that a coordinate leaves its declared range, or one turn about home if it has none."""
+
 _MOST_COORDINATES = 3
 _BATCH = 200_000  # poses at a time
+_AROUND = 0.02  # of a range, beyond its ends
+_SLOW = 0.25  # of the points otherwise taken along each coordinate, for robots that no program solves
 
 
 @dataclass(frozen=True, eq=False)
 class LimitSpace:
     """Coordinates and the limits over them.
 
-    Sections are over the first two coordinates and stacked along the third, if there is one. A ray of a section starts
-    at its centre: radius r and azimuth phi mean centre + r scale (cos phi, sin phi).
+    Sections are over the first two coordinates and stacked along the third, if there is one.
     """
 
     machine: str  #: name of the machine
@@ -43,90 +41,76 @@ class LimitSpace:
     #: function from values of the coordinates, shape=(..., number of coordinates) [m, rad], to the sums of the limits
     #: they break, shape=(...); zero within all
     broken_limits: Callable[[Array], Flags]
-    centre: Array  #: start of the rays in a section, shape=(2,) [m, rad]
-    scale: Array  #: length of radius 1 along each coordinate, shape=(2,) [m, rad]
-    reach: float  #: radius beyond which no pose is within the limits
-    ray_step: float  #: step of radii at which the limits are checked
-    #: range in which the third coordinate is searched; zeros if there are only two [m, rad]
-    level_range: tuple[float, float]
-    level_step: float  #: step of levels at which the limits are checked [m, rad]
+    box: Array  #: where the search starts; it goes on beyond if the set does, shape=(number of coordinates, 2) [m, rad]
+    start: Array  #: a pose from which the set is also searched: home, shape=(number of coordinates,) [m, rad]
+    density: float = 1.0  #: points along each coordinate, relative to the usual number
 
     @property
     def stacked(self) -> bool:
         """Whether there is a third coordinate."""
-        return len(self.names) > _PLANE
+        return len(self.names) == _MOST_COORDINATES
 
-    def within(self, points: Array, levels: Array | float) -> NDArray[np.bool_]:
-        """Tell which points of sections, shape=(..., 2), are within the limits at levels that broadcast to (...)."""
-        within: NDArray[np.bool_] = self.flags(points, levels) == 0
+    def within(self, points: Array, level: float | None = None) -> NDArray[np.bool_]:
+        """Tell which points are within the limits, shape=(..., number of coordinates); or (..., 2), at a level."""
+        if level is not None:
+            points = np.concatenate([points, np.full((*points.shape[:-1], 1), level)], axis=-1)
+        within: NDArray[np.bool_] = self.broken_limits(points) == 0
         return within
-
-    def flags(self, points: Array, levels: Array | float) -> Flags:
-        """Return the sums of the limits that points of sections break, shape=(...)."""
-        if not self.stacked:
-            return self.broken_limits(points)
-        third = np.broadcast_to(levels, points.shape[:-1])
-        return self.broken_limits(np.concatenate([points, third[..., None]], axis=-1))
-
-    def limit_shares(self, limits: Flags) -> dict[str, float]:
-        """Return the share of each limit in sums of limits, shape=(m,); if several bind, each counts in part."""
-        bits = np.stack([(limits & (1 << bit)) != 0 for bit in range(len(self.limits))], axis=-1)
-        parts = bits / np.maximum(bits.sum(axis=-1, keepdims=True), 1)
-        return dict(zip(self.limits, (parts.sum(axis=0) / max(len(limits), 1)).tolist(), strict=True))
-
-    def points(self, radii: Array, azimuths: Array) -> Array:
-        """Return the coordinates at radii and azimuths, shape=(..., 2) [m, rad]."""
-        directions = np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths)], axis=-1)
-        return np.asarray(self.centre + self.scale * directions)
 
 
 def robot_space(
     robot: Robot,
     names: tuple[str, ...] | None = None,
     fixed: Mapping[str, float] | None = None,
+    *,
+    declared_ranges: bool = True,
 ) -> LimitSpace:
-    """Return two or three coordinates of a robot with the limits over them, not counting declared ranges.
+    """Return two or three coordinates of a robot with the limits over them.
 
     By default the first ones, with those of equal units in the sections; others are at home unless fixed [m, rad].
+    Coordinates end at their declared ranges, on request at the limits of joints and closures only, and angles after one
+    turn.
 
     Raises:
-        InvalidValueError: an unknown coordinate, fewer than two or more than three, or unbounded ones.
+        InvalidValueError: an unknown coordinate, fewer than two or more than three.
         ConvergenceError: the loops do not close at home.
     """
     robot.assemble()  # at home, where searches start
     chosen = names or _default_names(robot)
-    if not _PLANE <= len(set(chosen)) == len(chosen) <= _MOST_COORDINATES:
+    if not 2 <= len(set(chosen)) == len(chosen) <= _MOST_COORDINATES:
         raise InvalidValueError(
             "coordinates", ", ".join(chosen) or "none", "two for the sections, and optionally one to stack them"
         )
     coordinates = [robot.coordinate(name) for name in chosen]
-    places = [robot.coordinates.index(coordinate) for coordinate in coordinates]
-    home = np.array(robot.home_coordinates)
-    broken = limits_over(robot, chosen, fixed)
-
-    ends = []
-    for coordinate, place in zip(coordinates, places, strict=True):
+    home = np.array([robot.home_coordinates[robot.coordinates.index(coordinate)] for coordinate in coordinates])
+    ends = np.array([(-np.pi, np.pi) if c.unit == "rad" else (-np.inf, np.inf) for c in coordinates]) + home[:, None]
+    box = []
+    for row, coordinate, centre in zip(ends, coordinates, home, strict=True):
+        if declared_ranges:
+            row[:] = [
+                own if own is not None else end
+                for own, end in zip((coordinate.lower, coordinate.upper), row, strict=True)
+            ]
         width = robot.characteristic_length if coordinate.unit == "m" else np.pi
-        low, high = robot.range_of(coordinate)
-        ends.append(
-            (low if np.isfinite(low) else home[place] - width, high if np.isfinite(high) else home[place] + width)
-        )
-    centres, halves = np.mean(ends, axis=1), 0.5 * np.ptp(ends, axis=1)
-    level, half_level = (centres[_PLANE], halves[_PLANE]) if len(chosen) > _PLANE else (0.0, 0.0)
-    space = LimitSpace(
+        low, high = np.clip(robot.range_of(coordinate), *row)
+        low, high = low if np.isfinite(low) else centre - width, high if np.isfinite(high) else centre + width
+        box.append((low - _AROUND * (high - low), high + _AROUND * (high - low)))
+    broken, beyond = limits_over(robot, chosen, fixed), np.uint32(1 << len(limit_names(robot)))
+
+    def broken_limits(values: Array) -> Flags:
+        outside = np.any((values < ends[:, 0]) | (values > ends[:, 1]), axis=-1)
+        return np.asarray(broken(values) | np.where(outside, beyond, np.uint32(0)))
+
+    return LimitSpace(
         machine=robot.name,
         names=chosen,
         units=tuple(coordinate.unit for coordinate in coordinates),
-        limits=limit_names(robot),
-        broken_limits=broken,
-        centre=centres[:_PLANE],
-        scale=halves[:_PLANE],
-        reach=_OUTSIDE,
-        ray_step=1.0 / _SAMPLES,
-        level_range=(level - _OUTSIDE * half_level, level + _OUTSIDE * half_level),
-        level_step=half_level / _SAMPLES,
+        limits=(*limit_names(robot), DECLARED_RANGE),
+        broken_limits=broken_limits,
+        box=np.array(box),
+        start=home,
+        density=1.0 if robot.engine == "program" and robot.why_careful() is None else _SLOW,
     )
-    return _wide_enough(space, level, half_level)
 
 
 def limits_over(
@@ -170,25 +154,3 @@ def _default_names(robot: Robot) -> tuple[str, ...]:
         if len(first) == _MOST_COORDINATES and others[0].unit == others[1].unit:
             return (*(coordinate.name for coordinate in others), stacked.name)
     return tuple(coordinate.name for coordinate in first)
-
-
-def _wide_enough(space: LimitSpace, level: float, half_level: float) -> LimitSpace:
-    """Widen a space until no pose around it is within the limits; InvalidValueError if they have no end."""
-    azimuths = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-    radii, up = np.array([0.0, 0.25, 0.5, 0.75, 1.0]), np.array([-1.0, 1.0])
-    while True:
-        levels = np.linspace(*space.level_range, _LEVELS)[:, None]
-        ring = space.points(np.full((_LEVELS, _DIRECTIONS), space.reach), azimuths)
-        wide = bool(space.within(ring, levels).any())
-        discs = space.points(space.reach * radii[:, None], azimuths)
-        tall = space.level_range[1] - level
-        high = space.stacked and any(bool(space.within(discs, level + end * tall).any()) for end in up)
-        if not wide and not high:
-            return space
-        if space.reach > _FARTHEST or tall > _FARTHEST * half_level > 0.0:
-            expected = f"coordinates of {space.machine} that joint limits or its reach bound (--coordinate)"
-            raise InvalidValueError("coordinates", ", ".join(space.names), expected)
-        tall *= 1.5 if high else 1.0
-        space = replace(
-            space, reach=space.reach * (1.5 if wide else 1.0), level_range=(float(level - tall), float(level + tall))
-        )

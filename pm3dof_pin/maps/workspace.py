@@ -1,31 +1,91 @@
-"""The reachable set over coordinates as a stack of sections: ranges, volume, and the limits that bind."""
+"""The reachable set over two or three coordinates: ranges, sections, volume, surface, and the limits that bind.
+
+The limits are checked on a dense grid. Contours (contourpy) and surfaces (marching cubes of scikit-image) between the
+poses within the limits and those beyond say which sides of cells the boundary crosses; bisection finds where. So the
+set may have any shape, with holes and several parts; parts thinner than a cell may be missed.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.arrays import with_neighbours
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.maps.extremes import extremes_of
 from pm3dof_pin.maps.labels import coordinate_attributes, dataset_attributes, flag_attributes, flag_type
-from pm3dof_pin.maps.limit_space import LimitSpace
-from pm3dof_pin.maps.rays import Index, explored
-from pm3dof_pin.maps.workspace_section import WorkspaceSection, workspace_sections
+from pm3dof_pin.maps.limit_space import Flags, LimitSpace
 from pm3dof_pin.typing import Array, Mask
 
 if TYPE_CHECKING:
     import xarray as xr
 
-LEVEL_TOLERANCE = 1e-10  # accuracy of the ends of the range of levels
+_SEARCH_POINTS = 33  # along each coordinate of the first grid
+_MOST_SEARCHES = 24
+_MOST_POINTS = 200  # of a search for a small set
+_FARTHEST = 12.0  # size of the set, relative to the first box, at which it counts as endless
+_TOLERANCE = 1e-9  # of an extreme, relative to the size of the set
+_SECTION_TOLERANCE = 1e-5  # of the extremes of one section
+_PATCH = {1: 25, 2: 13}  # points along each side of the patch in which an extreme is searched, by its dimensions
+_HALVINGS = 7  # per patch
+_BOUNDARY_HALVINGS = 12  # of the side of a cell
+_FEWEST_DIRECTIONS = 8
 
-_PLANE_STEPS = 2.5  # steps along a ray per step of the grid on which the range of levels is searched
-_AZIMUTH_WINDOW = float(np.radians(6.0))
-_LEAST_LEVELS = 2
+_Within: TypeAlias = Callable[[Array], Mask]
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspaceSection:
+    """The reachable part of a section: closed lines around its parts (anticlockwise) and its holes (clockwise).
+
+    Points of the lines are within all limits, and just across the boundary some limit is broken.
+    """
+
+    space: LimitSpace  #: coordinates and limits
+    level: float  #: the third coordinate [m, rad]
+    lines: tuple[Array, ...]  #: points of each line, without repeating the first, shape=(m, 2) each [m, rad]
+    limits: tuple[Flags, ...]  #: sums of the limits broken just across the boundary at each point
+    #: least and greatest first coordinate, then second; NaN if the section is empty, shape=(2, 2) [m, rad]
+    ranges: Array
+
+    @property
+    def empty(self) -> bool:
+        """Whether no pose of the section is reachable, or fewer than a cell."""
+        return not self.lines
+
+    @property
+    def points(self) -> Array:
+        """Both coordinates of the boundary points, shape=(m, 2) [m, rad]."""
+        return np.concatenate([np.empty((0, 2)), *self.lines])
+
+    @property
+    def area(self) -> float:
+        """Area of the section in the plane of both coordinates, in the product of their units."""
+        return sum(map(_area, self.lines))
+
+    @property
+    def limit_shares(self) -> dict[str, float]:
+        """Share of the boundary's length at which each limit binds, coordinates relative to the section's ranges.
+
+        Where several bind, each counts in part. All zero if the section is empty.
+        """
+        shares, scale = np.zeros(len(self.space.limits)), np.maximum(np.ptp(self.ranges, axis=1), 1e-12)
+        for line, limits in zip(self.lines, self.limits, strict=True):
+            sides = np.linalg.norm((np.roll(line, -1, axis=0) - line) / scale, axis=1)
+            bits = (limits[:, None] & (1 << np.arange(len(shares)))) != 0
+            shares += (sides + np.roll(sides, 1)) @ (bits / bits.sum(axis=1, keepdims=True))
+        return dict(zip(self.space.limits, (shares / (shares.sum() or 1.0)).tolist(), strict=True))
+
+
+class Surface(NamedTuple):
+    """Triangles of the boundary of a reachable set over three coordinates, anticlockwise from outside."""
+
+    points: Array  #: just within the limits, shape=(p, 3) [m, rad]
+    triangles: NDArray[np.intp]  #: indices of points, shape=(t, 3)
+    limits: Flags  #: sums of the limits broken just across the boundary at the points, shape=(p,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +95,7 @@ class Workspace:
     space: LimitSpace  #: coordinates and limits
     level_range: Array  #: least and greatest third coordinate of the reachable set, shape=(2,) [m, rad]
     sections: tuple[WorkspaceSection, ...]  #: sections by increasing level; a single one for two coordinates
-    #: least and greatest first coordinate, then second, also found between the sections, shape=(2, 2) [m, rad]
-    ranges: Array
+    ranges: Array  #: least and greatest first coordinate, then second, of the whole set, shape=(2, 2) [m, rad]
     range_levels: Array  #: the levels at which they are reached, shape=(2, 2) [m, rad]
 
     @cached_property
@@ -56,8 +115,34 @@ class Workspace:
 
     @property
     def limit_shares(self) -> dict[str, float]:
-        """Share of the boundary points of all sections at which each limit binds."""
-        return self.space.limit_shares(np.concatenate([section.limits for section in self.sections]))
+        """Share of the boundary at which each limit binds, averaged over the sections."""
+        shares = [section.limit_shares for section in self.sections if not section.empty]
+        total = sum(map(sum, (share.values() for share in shares))) or 1.0
+        return {name: sum(share[name] for share in shares) / total for name in self.space.limits}
+
+    def surface(self, count: int = 56) -> Surface:
+        """Return the boundary over three coordinates, found on a grid of so many cells along each.
+
+        Raises:
+            InvalidValueError: there are two coordinates.
+            UnreachablePoseError: the set is thinner than a cell everywhere.
+        """
+        if not self.space.stacked:
+            raise InvalidValueError("coordinates", ", ".join(self.space.names), "three, for a surface")
+        from skimage.measure import marching_cubes
+
+        cells = max(round(count * self.space.density), 8)
+        axes = [_padded(*ends, cells) for ends in (*self.ranges, self.level_range)]
+        inside = self.space.within(_nodes(axes))
+        if not inside.any():
+            raise UnreachablePoseError(f"the workspace of {self.space.machine} is too thin for a surface")
+        places, faces, _, _ = marching_cubes(np.pad(inside, 1).astype(np.float32), 0.5)
+
+        def node(index: Array) -> Array:
+            return np.column_stack([a[0] + (a[1] - a[0]) * column for a, column in zip(axes, index.T, strict=True)])
+
+        points, limits = _crossings(self.space, node, inside, places - 1.0)
+        return Surface(points, np.asarray(faces[:, ::-1], dtype=np.intp), limits)
 
     def boundary(self) -> xr.Dataset:
         """Return the boundary points of all sections over `point`: their coordinates [m, rad] and `binding_limits`.
@@ -68,11 +153,12 @@ class Workspace:
 
         space = self.space
         points = np.concatenate([section.points for section in self.sections])
-        levels = np.repeat(self.levels, [len(section.rays) for section in self.sections])
-        limits = np.concatenate([section.limits for section in self.sections]).astype(flag_type(space.limits))
+        levels = np.repeat(self.levels, [len(section.points) for section in self.sections])
+        limits = np.concatenate([np.empty(0), *(part for s in self.sections for part in s.limits)])
         columns = np.column_stack([points, levels])[:, : len(space.names)]
+        attributes = flag_attributes(space.limits, "limits that end the reachable set")
         return xr.Dataset(
-            {"binding_limits": ("point", limits, flag_attributes(space.limits, "limits that end the reachable set"))},
+            {"binding_limits": ("point", limits.astype(flag_type(space.limits)), attributes)},
             coords={
                 name: ("point", column, coordinate_attributes(name, unit, space.machine))
                 for name, unit, column in zip(space.names, space.units, columns.T, strict=True)
@@ -84,66 +170,223 @@ class Workspace:
 def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int = 360) -> Workspace:
     """Find the reachable set in sections: a number of equally spaced ones, or at increasing levels [m, rad].
 
+    Sections have about as many boundary points as there are `directions`.
+
     Raises:
-        InvalidValueError: fewer than two levels, levels not finite and increasing, or fewer than 8 directions.
+        InvalidValueError: fewer than two levels, levels not finite and increasing, fewer than 8 directions, or a set
+            that has no end.
         UnreachablePoseError: no pose at all, or none at the given levels, is within the limits.
     """
-    if not space.stacked:
-        return _of_one_section(space, directions)
-    low, high = level_range(space)
-    stack = np.linspace(low, high, levels) if isinstance(levels, int) else np.asarray(levels, dtype=float)
-    if stack.ndim != 1 or len(stack) < _LEAST_LEVELS or not np.all(np.isfinite(stack)) or np.any(np.diff(stack) <= 0.0):
+    if directions < _FEWEST_DIRECTIONS:
+        raise InvalidValueError("directions", directions, f"at least {_FEWEST_DIRECTIONS} boundary points")
+    given = np.zeros(1) if not space.stacked or isinstance(levels, int) else np.asarray(levels, dtype=float)
+    if space.stacked and (
+        (isinstance(levels, int) and levels < 2)
+        or (not isinstance(levels, int) and (given.ndim != 1 or len(given) < 2))
+        or not np.all(np.isfinite(given))
+        or np.any(np.diff(given) <= 0.0)
+    ):
         raise InvalidValueError("levels", levels, "at least two finite, increasing numbers")
-    sections = tuple(workspace_sections(space, stack, directions))
-    boundary = np.concatenate([section.polar_points for section in sections])
-    if len(boundary) == 0:
+    inside, cell = _search(space)
+    ends, places = _extents(space, inside, cell)
+    level_range = ends[2] if space.stacked else np.zeros(2)
+    if space.stacked and isinstance(levels, int):
+        given = np.linspace(*level_range, levels)
+    sections = tuple(_sections(space, given, inside, cell, directions))
+    if space.stacked and all(section.empty for section in sections):
         name, unit = space.names[2], space.units[2]
-        place = f"{name} = {stack[0]:g} {unit} and {stack[-1]:g} {unit}"
+        place = f"{name} = {given[0]:g} {unit} and {given[-1]:g} {unit}"
         raise UnreachablePoseError(f"no pose between {place} is within the limits")
-    ranges, at = extremes_of(space, [boundary], _AZIMUTH_WINDOW, float(np.diff(stack).max()))
-    return Workspace(space, np.array([low, high]), sections, ranges[0], at[0])
+    return Workspace(space, level_range, sections, ends[:2], places[:2, :, 2] if space.stacked else np.zeros((2, 2)))
 
 
-def _of_one_section(space: LimitSpace, directions: int) -> Workspace:
-    (section,) = workspace_sections(space, np.zeros(1), directions)
-    if section.empty:
-        raise UnreachablePoseError(f"no pose of {space.machine} is within all limits: the workspace is empty")
-    return Workspace(space, np.zeros(2), (section,), section.ranges, np.zeros((2, 2)))
+def workspace_section(space: LimitSpace, level: float, directions: int = 360) -> WorkspaceSection:
+    """Find the reachable part of a section at a level [m, rad], with about as many boundary points as `directions`.
 
-
-def level_range(space: LimitSpace) -> tuple[float, float]:
-    """Find the least and greatest third coordinate of the reachable set; UnreachablePoseError if the set is empty.
-
-    Searched over a grid of the other two that contains the centre of the sections, and over levels in steps, then
-    refined by bisection to :data:`LEVEL_TOLERANCE`.
+    Raises:
+        InvalidValueError: the level is not finite, or there are fewer than 8 directions.
     """
-    steps = int(space.reach / (_PLANE_STEPS * space.ray_step))
-    offsets = _PLANE_STEPS * space.ray_step * np.arange(-steps, steps + 1)
-    plane = space.centre + space.scale * np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1)
-    lowest, highest = space.level_range
-    levels = np.linspace(lowest, highest, int(np.ceil((highest - lowest) / space.level_step)) + 1)
-
-    def within(index: Index) -> Mask:
-        level, *place = index
-        return space.within(plane[tuple(place)], levels[level])
-
-    found = explored(within, (len(levels), *plane.shape[:2]), first=steps)
-    reachable = np.flatnonzero(found.any(axis=(1, 2)))
-    if len(reachable) == 0:
-        raise UnreachablePoseError(f"no pose of {space.machine} is within all limits: the workspace is empty")
-    ends = []
-    for last, beyond in ((reachable[0], max(reachable[0] - 1, 0)), (reachable[-1], reachable[-1] + 1)):
-        points = plane[with_neighbours(found[last])]  # a slanting set may end outside its section at this level
-        ends.append(_end_of_levels(space, points, levels[last], levels[min(beyond, len(levels) - 1)]))
-    return ends[0], ends[1]
+    if not np.isfinite(level):
+        raise InvalidValueError("level", level, "a finite number")
+    if directions < _FEWEST_DIRECTIONS:
+        raise InvalidValueError("directions", directions, f"at least {_FEWEST_DIRECTIONS} boundary points")
+    return _sections(space, np.array([level], dtype=float), *_search(space), directions)[0]
 
 
-def _end_of_levels(space: LimitSpace, points: Array, inner: float, outer: float) -> float:
-    while abs(outer - inner) > LEVEL_TOLERANCE:
+def _extents(space: LimitSpace, inside: Array, cell: Array) -> tuple[Array, Array]:
+    """Return the least and greatest value of each coordinate, shape=(d, 2), and the poses there, shape=(d, 2, d)."""
+    starts = np.stack([inside[[np.argmin(column), np.argmax(column)]] for column in inside.T])
+    d = len(cell)
+    axes, sides = np.repeat(np.arange(d), 2), np.tile([-1.0, 1.0], d)
+    places = _extremes(space.within, starts.reshape(-1, d), axes, sides, np.arange(d), cell, _TOLERANCE)
+    return places[np.arange(2 * d), axes].reshape(d, 2), places.reshape(d, 2, d)
+
+
+def _search(space: LimitSpace) -> tuple[Array, Array]:
+    """Return poses of a grid within the limits, shape=(n, d), and its cell; the grid is as wide as the set.
+
+    Raises:
+        UnreachablePoseError: there are none.
+        InvalidValueError: the set has no end.
+    """
+    count, box, widest = max(9, round(_SEARCH_POINTS * space.density)), space.box, _FARTHEST * np.ptp(space.box, axis=1)
+    for _ in range(_MOST_SEARCHES):
+        nodes = _nodes([np.linspace(*ends, count) for ends in box]).reshape(-1, len(box))
+        inside, cell = nodes[space.within(nodes)], np.ptp(box, axis=1) / (count - 1)
+        if space.within(space.start):
+            inside = np.vstack([inside, space.start])
+        if not len(inside):
+            count = 2 * count - 1
+            if count ** len(box) > _MOST_POINTS**3 * space.density:
+                break
+            continue
+        low, high = inside.min(axis=0), inside.max(axis=0)
+        wide = np.stack([low < box[:, 0] + 0.5 * cell, high > box[:, 1] - 0.5 * cell], axis=-1)
+        if np.any(np.ptp(box, axis=1) > widest):
+            expected = f"coordinates of {space.machine} that joint limits or its reach bound (--coordinate)"
+            raise InvalidValueError("coordinates", ", ".join(space.names), expected)
+        if wide.any():
+            box = box + 0.5 * np.ptp(box, axis=1)[:, None] * np.where(wide, [-1.0, 1.0], 0.0)
+            continue
+        tight = np.stack([low - cell, high + cell], axis=-1)
+        if np.all(np.ptp(tight, axis=1) > 0.5 * np.ptp(box, axis=1)):
+            return inside, cell
+        box = tight
+    raise UnreachablePoseError(f"no pose of {space.machine} is within all limits: the workspace is empty")
+
+
+def _extremes(
+    within: _Within, starts: Array, axes: NDArray[np.intp], sides: Array, free: ArrayLike, cell: Array, tolerance: float
+) -> Array:
+    """Move poses of a set, shape=(m, d), to its extremes near them: along one axis each, down or up.
+
+    Around each pose, a patch across its axis is moved along the axis by bisection as far as any of its points stays in
+    the set. It then surrounds the last of them, and shrinks unless that was at its edge. Coordinates that are not free
+    do not change.
+    """
+    best, moved = starts.copy(), np.flatnonzero(np.isin(np.arange(starts.shape[1]), free))
+    d = len(moved) - 1
+    side = np.linspace(-1.0, 1.0, _PATCH[d])
+    square = np.stack(np.meshgrid(*[side] * d, indexing="ij"), axis=-1).reshape(-1, d)
+    at_edge = np.abs(square).max(axis=1) == 1.0
+    offsets = np.zeros((len(starts), len(square), starts.shape[1]))
+    for row, axis in zip(offsets, axes, strict=True):
+        row[:, moved[moved != axis]] = square * cell[moved[moved != axis]]
+    steps = np.zeros_like(starts)
+    steps[np.arange(len(starts)), axes] = sides * cell[axes]
+    size = np.full(len(starts), 2.0)
+    smallest = tolerance * _SEARCH_POINTS
+    while (active := np.flatnonzero(size > smallest)).size:
+        patch = best[active, None] + size[active, None, None] * offsets[active]
+        alive = np.ones(patch.shape[:2], dtype=bool)
+        low, high = np.zeros(len(active)), size[active].copy()
+        middle = 2.0**-_HALVINGS * high  # points that stay behind at once are not tried farther
+        for _ in range(_HALVINGS):
+            owner, place = np.nonzero(alive & (high > 0.0)[:, None])
+            inside = np.zeros_like(alive)
+            inside[owner, place] = within(patch[owner, place] + middle[owner, None] * steps[active][owner])
+            farther = inside.any(axis=1)
+            alive[farther] = inside[farther]
+            high = np.where(farther, high, np.where(low > 0.0, middle, 0.0))
+            low = np.where(farther, middle, low)
+            middle = 0.5 * (low + high)
+        found = low > 0.0
+        centre = np.sum(patch * alive[..., None], axis=1) / alive.sum(axis=1)[:, None]
+        distance = np.sum(((patch - centre[:, None]) / cell) ** 2, axis=2)
+        chosen = np.argmin(np.where(alive, distance, np.inf), axis=1)
+        here = patch[np.arange(len(active)), chosen] + low[:, None] * steps[active]
+        best[active[found]] = here[found]
+        size[active] *= np.where(found & (at_edge[chosen] | (low > 0.5 * size[active])), 1.0, 0.5)
+    return best
+
+
+def _sections(space: LimitSpace, levels: Array, known: Array, cell: Array, directions: int) -> list[WorkspaceSection]:
+    """Return the sections at n levels, searched around known poses of the set on a grid of given cells."""
+    from contourpy import contour_generator
+
+    count, d = max(round(0.25 * directions * space.density), 4), len(cell)
+    boxes = np.array([_section_box(known, cell, level) for level in levels])
+    steps = np.ptp(boxes, axis=2) / count
+
+    def node(index: Array) -> Array:
+        layer = index[:, 0].astype(int)
+        plane = boxes[layer, :, 0] + steps[layer] * index[:, 1:]
+        return np.column_stack([plane, levels[layer]]) if d > 2 else plane
+
+    shape = (len(levels), count + 1, count + 1)
+    inside = space.within(node(np.indices(shape).reshape(3, -1).T.astype(float))).reshape(shape)
+    rings = []  # of indices of sides of cells, (layer, first, second)
+    for layer, filled in enumerate(inside):
+        found = contour_generator(z=np.pad(filled, 1).T.astype(float)).lines(0.5) if filled.any() else []
+        rings += [np.insert(np.asarray(line)[:-1] - 1.0, 0, layer, axis=1) for line in found]
+    points, limits = _crossings(space, node, inside, np.concatenate([np.empty((0, 3)), *rings]))
+    parts = np.cumsum([len(ring) for ring in rings])[:-1]
+    lines = [*zip(np.split(points[:, :2], parts), np.split(limits, parts), strict=True)] if rings else []
+    owners = [int(ring[0, 0]) for ring in rings]
+    grouped = [[line for line, owner in zip(lines, owners, strict=True) if owner == k] for k in range(len(levels))]
+    ranges = _section_ranges(space, levels, [[line for line, _ in group] for group in grouped], steps)
+    return [
+        WorkspaceSection(space, float(level), tuple(line for line, _ in group), tuple(own for _, own in group), ends)
+        for level, group, ends in zip(levels, grouped, ranges, strict=True)
+    ]
+
+
+def _section_box(known: Array, cell: Array, level: float) -> Array:
+    """Return a box around the section at a level, one cell wider than the known poses near it, shape=(2, 2)."""
+    near = known[np.abs(known[:, 2] - level) <= 1.01 * cell[2]] if len(cell) > 2 else known
+    points = (near if len(near) else known)[:, :2]
+    return np.stack([points.min(axis=0) - 1.5 * cell[:2], points.max(axis=0) + 1.5 * cell[:2]], axis=-1)
+
+
+def _section_ranges(space: LimitSpace, levels: Array, lines: Sequence[Sequence[Array]], cells: Array) -> Array:
+    """Return the ranges of both coordinates of sections with given lines; NaN without lines, shape=(n, 2, 2)."""
+    ranges = np.full((len(levels), 2, 2), np.nan)
+    filled = [k for k, own in enumerate(lines) if own]
+    if not filled:
+        return ranges
+    starts = []
+    for k in filled:
+        points = np.concatenate(lines[k])
+        points = np.column_stack([points, np.full(len(points), levels[k])])[:, : len(space.names)]
+        starts += [points[index(points[:, axis])] for axis in (0, 1) for index in (np.argmin, np.argmax)]
+    axes, sides = np.tile([0, 0, 1, 1], len(filled)), np.tile([-1.0, 1.0], 2 * len(filled))
+    cell = np.append(cells[filled].max(axis=0), np.ones(len(space.names) - 2))
+    ends = _extremes(space.within, np.array(starts), axes, sides, np.arange(2), cell, _SECTION_TOLERANCE)
+    ranges[filled] = ends[np.arange(len(ends)), axes].reshape(-1, 2, 2)
+    return ranges
+
+
+def _padded(low: float, high: float, cells: int) -> Array:
+    """Return values from low to high, and one beyond each end."""
+    step = (high - low) / cells
+    return low + step * np.arange(-1.0, cells + 2.0)
+
+
+def _nodes(axes: Sequence[Array]) -> Array:
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def _crossings(space: LimitSpace, node: Callable[[Array], Array], inside: Mask, places: Array) -> tuple[Array, Flags]:
+    """Return where the boundary crosses sides of cells, given their middles as fractional indices, and its limits."""
+    low, high = np.floor(places), np.ceil(places)
+    index = low.astype(int)
+    there = np.all((index >= 0) & (index < inside.shape), axis=1)
+    kept = np.zeros((len(places), 1), dtype=bool)
+    kept[there, 0] = inside[tuple(index[there].T)]
+    inner, outer = (node(np.where(which, low, high)) for which in (kept, ~kept))
+    for _ in range(_BOUNDARY_HALVINGS if len(inner) else 0):
         middle = 0.5 * (inner + outer)
-        reachable = space.within(points, middle)
-        if reachable.any():
-            inner, points = middle, points[reachable]
-        else:
-            outer = middle
-    return float(inner)
+        keeps = space.within(middle)[:, None]
+        inner, outer = np.where(keeps, middle, inner), np.where(keeps, outer, middle)
+    return inner, space.broken_limits(outer) if len(outer) else np.zeros(0, dtype=np.uint32)
+
+
+def _area(line: Array) -> float:
+    """Return the area within a closed line, of arcs over its sides with the curvature at their ends; signed."""
+    along = np.roll(line, -1, axis=0) - line
+    before = np.roll(along, 1, axis=0)
+    twice = np.sum(line[:, 0] * np.roll(line[:, 1], -1) - line[:, 1] * np.roll(line[:, 0], -1))
+    lengths, turn = np.linalg.norm(along, axis=1), before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0]
+    last = np.roll(lengths, 1)
+    curvature = 2.0 * turn / np.maximum(last * lengths * (last + lengths), 1e-300)
+    return float(0.5 * twice + np.sum(lengths**3 * (curvature + np.roll(curvature, -1))) / 24.0)

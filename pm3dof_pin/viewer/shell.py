@@ -7,7 +7,6 @@ boundary of the points that the tip of such a tool reaches, in metres, around th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +17,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.limit_space import coordinates_over, robot_space
 from pm3dof_pin.maps.quantities import MappedRobot
-from pm3dof_pin.maps.workspace import level_range
-from pm3dof_pin.maps.workspace_section import WorkspaceSection, workspace_sections
+from pm3dof_pin.maps.workspace import Workspace, workspace
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
 from pm3dof_pin.viewer.layers import Layer, ScalarQuantity
@@ -27,9 +25,8 @@ from pm3dof_pin.viewer.panel import Entry, numbers_with_unit
 from pm3dof_pin.viewer.scene import Json, Scene
 
 _TOOL_COLOUR = (0.13, 0.15, 0.18)
-_LEAST_SECTIONS = 3
-_RINGS = 12  # lines drawn along sections
-_END = 1e-4  # inset of the first and the last section, relative to the range of heights
+_RINGS = 12  # sections whose lines are drawn
+_RING_POINTS = 120  # of each
 
 
 @dataclass(frozen=True)
@@ -41,7 +38,6 @@ class _Shell:
     lines: Array  #: pairs of end points of lines along some of the sections, shape=(k, 3) [m]
     points: Array
     layers: tuple[Layer, ...]  #: the quantities, at the vertices and then at the points
-    part: str = ""  #: description of the part of the reachable set, or "" for all of it
 
     def draw(self, scene: Scene, path: str, size: float) -> None:
         """Draw the shell at a path, with points of a size [m]."""
@@ -70,7 +66,7 @@ class _Shell:
         return Entry(
             key="workspace",
             title="Workspace",
-            lines=[of, layers[0]["title"], *([self.part] if self.part else [])],
+            lines=[of, layers[0]["title"]],
             bar={"colours": list(colours.INDEX_STOPS), "ends": layers[0]["ends"]},
             nodes=[path, tool],
             of_pose=False,
@@ -89,19 +85,17 @@ def _tool_tips(poses: Poses, length: float) -> Array:
     return np.asarray(poses.positions + length * poses.rotations[..., 2])
 
 
-def workspace_shell(
-    robot: Robot, quantity: str, *, tool_length: float, heights: int = 41, directions: int = 120, inside: int = 17
-) -> _Shell:
+def workspace_shell(robot: Robot, quantity: str, *, tool_length: float, cells: int = 29, inside: int = 17) -> _Shell:
     """Return the boundary of the points that a tool's tip reaches, and points inside, with quantities at all of them.
 
-    Three coordinates vary, see :func:`~pm3dof_pin.maps.limit_space.robot_space`; others stay at home. The quantity is a
-    name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, followed by a colon and one of its entries if it has
-    several, as in "felt_stiffness:z". It is the first layer; :meth:`~pm3dof_pin.viewer.layers.ScalarQuantity.others`
-    follow.
+    Three coordinates vary, see :func:`~pm3dof_pin.maps.limit_space.robot_space`, on a grid of so many cells along each;
+    others stay at home. The quantity is a name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, followed by a colon
+    and one of its entries if it has several, as in "felt_stiffness:z". It is the first layer;
+    :meth:`~pm3dof_pin.viewer.layers.ScalarQuantity.others` follow.
 
     Raises:
-        InvalidValueError: there is no such quantity or entry, or it is not finite on the boundary; there are fewer than
-            three coordinates; or no successive sections are single closed lines around their centres.
+        InvalidValueError: there is no such quantity or entry, or it is not finite on the boundary; or there are fewer
+            than three coordinates.
         UnreachablePoseError: no pose is within the limits.
     """
     mapped = MappedRobot(robot)
@@ -109,62 +103,41 @@ def workspace_shell(
     limits = robot_space(robot)
     if not limits.stacked:
         raise InvalidValueError("workspace", robot, "a robot with at least three coordinates")
-    low, high = level_range(limits)
-    inset = _END * (high - low)
-    # closer together near the ends, where the sections shrink quickly
-    places = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, heights))
-    levels = low + inset + (high - low - 2.0 * inset) * places
-    sections = _closed_sections(workspace_sections(limits, levels, directions, ranges=False))
-    boundary = _boundary_poses(robot, sections)
-    within = _inner_poses(robot, boundary, sections[0].space.names, inside)
+    found = workspace(limits, _RINGS + 2, _RING_POINTS)
+    surface = found.surface(cells)
+    complete = coordinates_over(robot, limits.names)
+    boundary = robot.solve(complete(surface.points))
+    within = _inner_poses(robot, surface.points, limits.names, inside)
     poses = Poses(robot, np.concatenate([boundary.q, within.q]))
     layer = chosen.layer(mapped, poses)
     if not np.isfinite(layer.values).all():
         raise InvalidValueError("quantity", quantity, "one that is finite on the whole boundary")
     others = [other.layer(mapped, poses) for other in ScalarQuantity.others(mapped, quantity)]
     layers = (layer, *(other for other in others if np.isfinite(other.values).all()))
-    tips = _tool_tips(boundary, tool_length)
-    count, part = len(sections), ""
-    if count < heights:
-        ends, scale, unit = [sections[0].level, sections[-1].level], 1.0, "m"
-        if limits.units[2] == "rad":
-            scale, unit = 180.0 / np.pi, "°"
-        part = f"{limits.names[2]} {scale * ends[0]:.4g} .. {scale * ends[1]:.4g} {unit} only"
-    lines, faces = _rings(tips, count, directions), _faces(count, directions)
-    return _Shell(tips, faces, lines, _tool_tips(within, tool_length), layers, part)
+    tips, faces = _tool_tips(boundary, tool_length), surface.triangles
+    a, b, c = (tips[faces[:, k]] - tips.mean(axis=0) for k in range(3))
+    if np.einsum("ni,ni->", a, np.cross(b, c)) < 0.0:  # the tip's position mirrors the coordinates
+        faces = faces[:, ::-1]
+    rings = _tool_tips(robot.solve(complete(_rings(found))), tool_length)
+    return _Shell(tips, faces, rings, _tool_tips(within, tool_length), layers)
 
 
-def _inner_poses(robot: Robot, boundary: Poses, names: tuple[str, ...], count: int) -> Poses:
-    """Return the poses within limits of a grid over some coordinates."""
-    ranges = {}
-    for name in names:
-        values = boundary.coordinates[:, robot.coordinates.index(robot.coordinate(name))]
-        ranges[name] = (float(values.min()), float(values.max()), max(count, 1))
+def _inner_poses(robot: Robot, boundary: Array, names: tuple[str, ...], count: int) -> Poses:
+    """Return the poses within limits of a grid over some coordinates, as wide as their boundary."""
+    ends = zip(names, boundary.min(axis=0), boundary.max(axis=0), strict=True)
+    ranges = {name: (float(low), float(high), max(count, 1)) for name, low, high in ends}
     poses = robot.solve(robot.grid(**ranges), on_failure="nan").reshape(-1)
     return poses[np.flatnonzero(poses.within_limits)[: None if count else 0]]
 
 
-def _closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSection, ...]:
-    """Return the longest run of at least three sections that are single closed lines around their centres."""
-    longest: list[WorkspaceSection] = []
-    row: list[WorkspaceSection] = []
-    for section in stack:
-        row = [*row, section] if section.star_shaped else []
-        longest = max(longest, row, key=len)
-    if len(longest) < _LEAST_SECTIONS:
-        raise InvalidValueError(
-            "workspace", stack[0].space.machine, "sections that are single closed lines around a centre"
-        )
-    return tuple(longest)
-
-
-def _boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses:
-    """Return the boundary poses, section by section, then the centres of both ends."""
-    space = sections[0].space
-    lines = [np.column_stack([section.points, np.full(len(section.points), section.level)]) for section in sections]
-    ends = [[*space.centre, section.level] for section in (sections[0], sections[-1])]
-    changed = np.concatenate([*lines, ends])
-    return robot.solve(coordinates_over(robot, space.names)(changed))
+def _rings(found: Workspace) -> Array:
+    """Return the ends of the pieces of line around the sections, one after the other, shape=(2 n, 3)."""
+    rings = [np.empty((0, 3))]
+    for section in found.sections[1:-1]:
+        for line in section.lines:
+            points = np.column_stack([line, np.full(len(line), section.level)])
+            rings.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1).reshape(-1, 3))
+    return np.concatenate(rings)
 
 
 def draw_tool(scene: Scene, path: str, placement: ArrayLike, length: float, size: float) -> None:
@@ -175,26 +148,3 @@ def draw_tool(scene: Scene, path: str, placement: ArrayLike, length: float, size
     scene.set_transform(f"{path}/rod", middle @ objects.Y_TO_Z)
     scene.set_object(f"{path}/tip", objects.mesh(objects.sphere(size), _TOOL_COLOUR))
     scene.set_transform(f"{path}/tip", objects.transform(translation=[0.0, 0.0, length]))
-
-
-def _faces(sections: int, directions: int) -> NDArray[np.int64]:
-    """Return the triangles between neighbouring sections, and two fans that close the ends, with outward normals."""
-    ring = np.arange(directions)
-    following = (ring + 1) % directions
-    walls = []
-    for section in range(sections - 1):
-        low, high = section * directions, (section + 1) * directions
-        walls.append(np.column_stack([low + ring, low + following, high + following]))
-        walls.append(np.column_stack([low + ring, high + following, high + ring]))
-    bottom, top, last = sections * directions, sections * directions + 1, (sections - 1) * directions
-    walls.append(np.column_stack([np.full(directions, bottom), following, ring]))
-    walls.append(np.column_stack([np.full(directions, top), last + ring, last + following]))
-    return np.concatenate(walls)
-
-
-def _rings(vertices: Array, sections: int, directions: int) -> Array:
-    """Return lines along every few sections, which show the surface's shape."""
-    step = max(1, (sections - 1) // _RINGS)
-    rings = vertices[: sections * directions].reshape(sections, directions, 3)[step // 2 :: step]
-    ends = np.stack([rings, np.roll(rings, -1, axis=1)], axis=2)
-    return ends.reshape(-1, 3)

@@ -377,8 +377,7 @@ class Viewer(ShownScene):
         quantity: str = "translational_stiffness:least",
         *,
         tool_length: float | None = None,
-        heights: int = 41,
-        directions: int = 120,
+        cells: int = 29,
     ) -> None:
         """Draw the boundary of the points that the tip of a tool on the platform reaches, coloured by a quantity.
 
@@ -386,8 +385,7 @@ class Viewer(ShownScene):
             quantity: the quantity, as :func:`pm3dof_pin.viewer.shell.workspace_shell` takes it.
             tool_length: length of the tool along its z axis [m]; by default zero if the first coordinate is a length,
                 else a third of the machine's size.
-            heights: number of sections.
-            directions: number of points per section.
+            cells: number of cells of the grid along each coordinate.
 
         Raises:
             InvalidValueError: there is no such quantity, or the workspace has no such shell.
@@ -398,9 +396,7 @@ class Viewer(ShownScene):
         if length is None:
             is_position = all(coordinate.unit == "m" for coordinate in self.mechanism.coordinates[:2])
             length = 0.0 if is_position else ellipsoids.round_length(0.42 * self._radius)
-        surface = shell.workspace_shell(
-            self.mechanism, quantity, tool_length=length, heights=heights, directions=directions
-        )
+        surface = shell.workspace_shell(self.mechanism, quantity, tool_length=length, cells=cells)
         surface.draw(self.scene, "/workspace", 0.022 * self._radius)
         self._beside["workspace"] = surface.vertices[::7]
         body_path, in_body = self._body_at(tool)

@@ -207,10 +207,10 @@ def test_pictures_of_a_former_run_do_not_stay(tmp_path: Path) -> None:
 
 
 def test_workspace(answer: Answer, tmp_path: Path, tripod: Tripod) -> None:
-    arguments = ["--heights", "3", "--directions", "24", "--no-picture", "--out", str(tmp_path)]
+    arguments = ["--heights", "5", "--directions", "24", "--no-picture", "--out", str(tmp_path)]
     result = answer("workspace", *arguments)
     np.testing.assert_allclose(result["z_e_range_m"], [tripod.height_min, tripod.height_max], atol=1e-8)
-    assert len(result["sections"]) == 3
+    assert len(result["sections"]) == 5
     assert result["limit_shares"]["stroke"] > 0
     assert any("printed" in text for text in result["printed_ranges"])
 

@@ -10,7 +10,6 @@ import pytest
 from matplotlib.collections import Collection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.printed_ranges import printed_ranges
@@ -18,9 +17,7 @@ from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures import workspace as workspace_module
 from pm3dof_pin.figures.style import LIMIT_STYLES, save_figure
 from pm3dof_pin.figures.workspace import _Sheet, workspace_figure
-from pm3dof_pin.maps.limit_space import LimitSpace
 from pm3dof_pin.maps.workspace import Workspace, workspace
-from pm3dof_pin.maps.workspace_section import workspace_sections
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +50,7 @@ def test_outlines_have_the_colour_of_their_limit(figure: Figure, whole: Workspac
     assert len(set(labels) & heights) == 6
     for collection, label in zip(outlines.collections, labels, strict=False):
         section = min(whole.sections, key=lambda section: abs(section.level - float(label)))
-        assert _enclosed(collection) == pytest.approx(_areas(whole.space, [section.level])[0], rel=3e-3)
+        assert _enclosed(collection) == pytest.approx(np.degrees(np.degrees(section.area)), rel=3e-3)
 
 
 def test_printed_ranges_are_drawn(figure: Figure) -> None:
@@ -83,48 +80,37 @@ def test_picture_on_disk(figure: Figure, tmp_path: Path) -> None:
     assert np.all(rim > 0.999)
 
 
-def test_colours_meet_along_the_edge_of_the_body(whole: Workspace) -> None:
-    """No teeth: the corners of every face lie on the boundary, and its own limit is broken just beyond them."""
+def test_faces_have_the_colour_of_their_limit(whole: Workspace) -> None:
+    """Faces lie on the boundary, and their own limit is broken a little beyond."""
     sheet, space = _Sheet(whole, None), whole.space
-    assert sheet.solid is not None
-    corners = sheet.solid.corners.reshape(-1, 3)
-    points, levels = np.radians(corners[:, :2]), corners[:, 2]
-    assert np.all(space.centre == 0.0)  # rays leave from there, so that scaling a point moves it along its ray
-    inner = np.abs(levels - 0.5 * np.sum(whole.level_range)) < 0.45 * np.ptp(whole.level_range)
-    near = 0.02 * np.ptp(whole.ranges)  # less than half a cell of curved faces and grazing edges
-    assert np.mean(space.within(points[inner] * (1.0 - near), levels[inner])) > 0.99
-    assert np.mean(space.within(points[inner] * (1.0 + near), levels[inner])) < 0.01
-    beyond = space.flags(points * 1.05, levels)
+    faces, limits = sheet.solid()
+    centres = faces.mean(axis=1)
+    points = np.column_stack([np.radians(centres[:, :2]), centres[:, 2]])
+    middle = np.array([0.0, 0.0, 0.49])
+    assert np.mean(space.within(middle + 0.97 * (points - middle))) > 0.99
+    beyond = space.broken_limits(middle + 1.04 * (points - middle))
+    assert np.mean(beyond > 0) > 0.99
     for name in ("stroke", "spherical"):
-        bit = np.uint32(1 << space.limits.index(name))
-        of_it = np.repeat(sheet.solid.limits == bit, 4) & inner
-        assert of_it.any()
-        assert np.mean(beyond[of_it] & bit > 0) > 0.98  # where both meet at a grazing angle it is farther
+        number = space.limits.index(name)
+        assert (limits == number).any()
+        assert np.mean(beyond[limits == number] & (1 << number) > 0) > 0.96
 
 
 def test_a_machine_with_holes_in_its_sections(hollow_tripod: Tripod, monkeypatch: pytest.MonkeyPatch) -> None:
     """Islands and holes are part of the solid, and of the outlines."""
-    whole = workspace(tripod_space(hollow_tripod), 15, 60)
-    assert not all(section.star_shaped for section in whole.sections)
+    whole = workspace(tripod_space(hollow_tripod), 15, 240)
+    assert not all(len(section.lines) == 1 for section in whole.sections)
     sheet = _Sheet(whole, None)
-    assert sheet.solid is not None
-    x, y, z = np.moveaxis(sheet.solid.corners, -1, 0)
+    x, y, z = np.moveaxis(sheet.solid()[0], -1, 0)
     from_above = 0.5 * np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1)
-    levels = np.linspace(*whole.level_range, 24)
-    volume = np.trapezoid(_areas(whole.space, levels), levels)
-    assert np.sum(from_above * z.mean(axis=1)) == pytest.approx(volume, rel=0.02)
+    fine = workspace(whole.space, np.linspace(*whole.level_range, 41), 240)
+    volume = np.degrees(np.degrees(fine.volume))
+    assert np.sum(from_above * z.mean(axis=1)) == pytest.approx(volume, rel=0.03)
     monkeypatch.setattr(workspace_module, "_Sheet", lambda *_: sheet)  # made once
     figure = workspace_figure(whole)
     figure.draw_without_rendering()
-    areas = _areas(whole.space, [section.level for section in sheet.sections])
-    for area, lines in zip(areas, figure.axes[1].collections, strict=False):
-        assert _enclosed(lines) == pytest.approx(area, rel=1e-2)
-
-
-def _areas(space: LimitSpace, levels: ArrayLike) -> list[float]:
-    """Areas of sections by rays [deg^2]."""
-    sections = workspace_sections(space, np.asarray(levels), 180, ranges=False)
-    return [float(np.degrees(np.degrees(section.area))) for section in sections]
+    for section, lines in zip(sheet.sections, figure.axes[1].collections, strict=False):
+        assert _enclosed(lines) == pytest.approx(np.degrees(np.degrees(section.area)), rel=1e-2)
 
 
 def _enclosed(lines: Collection) -> float:

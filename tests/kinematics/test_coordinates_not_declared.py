@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import ConvergenceError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.limit_space import robot_space
+from pm3dof_pin.maps.workspace import workspace
 
 MACHINES = Path(__file__).parents[1] / "machines"
 LINK = 0.35  # both links of a leg [m]
@@ -77,17 +78,16 @@ def test_random_poses_are_drawn_over_coordinates(four_rrr: Robot) -> None:
     assert np.ptp(poses.coordinates, axis=0).min() > 0.1
 
 
-def test_a_workspace_without_ends_is_refused(tmp_path: Path) -> None:
+def test_a_workspace_of_angles_without_limits_is_one_turn(tmp_path: Path) -> None:
     joint = '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{0}"/><axis xyz="0 0 1"/></joint>'
     parts = [f'<link name="{name}"/>' for name in ("base", "a", "b")] + [
         joint.format("a", "base"),
         joint.format("b", "a"),
     ]
     (tmp_path / "arm.urdf").write_text(f'<robot name="arm">{"".join(parts)}</robot>')
-    with pytest.raises(
-        InvalidValueError, match="a, b: expected coordinates of arm that joint limits or its reach bound"
-    ):
-        robot_space(Robot.load(tmp_path / "arm.urdf"))
+    found = workspace(robot_space(Robot.load(tmp_path / "arm.urdf")), directions=60)
+    np.testing.assert_allclose(found.ranges, [[-np.pi, np.pi]] * 2, atol=1e-6)
+    assert found.sections[0].area == pytest.approx((2.0 * np.pi) ** 2, rel=1e-3)
 
 
 def test_loops_that_do_not_close_are_what_random_poses_lack(tmp_path: Path) -> None:

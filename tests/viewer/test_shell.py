@@ -23,7 +23,7 @@ LENGTH = 0.2
 
 @pytest.fixture(scope="module")
 def shell(mechanism: Robot) -> _Shell:
-    return workspace_shell(mechanism, "felt_stiffness:z", tool_length=LENGTH, heights=15, directions=36)
+    return workspace_shell(mechanism, "felt_stiffness:z", tool_length=LENGTH, cells=16)
 
 
 def poses_of(tips: np.ndarray) -> np.ndarray:
@@ -51,13 +51,12 @@ def test_the_surface_is_closed_and_faces_outwards(shell: _Shell) -> None:
 
 
 def test_its_points_are_the_boundary(shell: _Shell, tripod: Tripod) -> None:
-    """A step inwards stays within all limits, one outwards breaks one."""
-    poses = poses_of(shell.vertices[:-2])
-    inside, outside = poses.copy(), poses.copy()
-    inside[:, :2] *= 0.999
-    outside[:, :2] *= 1.001
-    assert np.all(limit_flags(tripod, inside) == 0)
-    assert np.all(limit_flags(tripod, outside) != 0)
+    """A step towards the middle stays within all limits, one away breaks one; but for corners that are cut."""
+    poses, middle = poses_of(shell.vertices), np.array([0.0, 0.0, 0.49])
+    inside, outside = middle + 0.99 * (poses - middle), middle + 1.01 * (poses - middle)
+    assert np.all(limit_flags(tripod, poses) == 0)
+    assert np.mean(limit_flags(tripod, inside) == 0) > 0.999
+    assert np.mean(limit_flags(tripod, outside) != 0) > 0.98  # of flat faces that lie along the step
 
 
 def test_its_values_are_the_stiffness_there(shell: _Shell, tripod: Tripod) -> None:
@@ -124,10 +123,12 @@ def test_bad_quantities(mapped: MappedRobot, name: str, words: str) -> None:
 def test_positions_need_no_tool(load: Callable[[str], Robot]) -> None:
     """The hexapod's is the boundary of the tool's own positions, its corners within all limits by a hair."""
     robot = load("hexapod")
-    shell = workspace_shell(robot, "felt_stiffness:z", tool_length=0.0, heights=5, directions=12)
+    shell = workspace_shell(robot, "felt_stiffness:z", tool_length=0.0, cells=10)
     middle = np.array([0.0, 0.0, 0.135])
-    inside, outside = middle + 0.99 * (shell.vertices - middle), middle + 1.01 * (shell.vertices[:-2] - middle)
+    inside, outside = middle + 0.99 * (shell.vertices - middle), middle + 1.01 * (shell.vertices - middle)
     fill = np.zeros((len(inside), 3))
     assert robot.solve(np.hstack([inside, fill])).within_limits.mean() > 0.9
-    assert not robot.solve(np.hstack([outside, fill[:-2]]), on_failure="nan").within_limits.any()
-    assert shell.part == ""
+    ranges = np.array([robot.range_of(c) for c in robot.coordinates[:3]])
+    beyond = np.any((outside < ranges[:, 0]) | (outside > ranges[:, 1]), axis=1)
+    broken = ~robot.solve(np.hstack([outside, fill]), on_failure="nan").within_limits
+    assert np.mean(broken | beyond) > 0.95  # but for edges, which are cut

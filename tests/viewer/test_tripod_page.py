@@ -270,7 +270,7 @@ def test_workspace_in_the_page(page: Any, mechanism: Robot, tmp_path: Path) -> N
     from pm3dof_pin.viewer.shell import _tool_tips
 
     viewer = Viewer(mechanism)
-    viewer.workspace("condition_number", tool_length=0.2, heights=11, directions=24)
+    viewer.workspace("condition_number", tool_length=0.2, cells=9)
     page.open(viewer.save_html(tmp_path / "page.html").as_uri())
     pose = [0.2, -0.3, 0.48]
     page.ask("".join(f"pm3dof.slide({index}, {value});" for index, value in enumerate(pose)) + "0")

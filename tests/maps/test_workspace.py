@@ -1,0 +1,156 @@
+"""Reachable sets of known shape: extremes, areas, volumes, surfaces, holes, parts, and the limits that end them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.limit_space import DECLARED_RANGE, Flags, LimitSpace, robot_space
+from pm3dof_pin.maps.workspace import Surface, workspace, workspace_section
+from pm3dof_pin.typing import Array
+
+TURN = np.linalg.qr([[3.0, 1.0, 0.5], [-1.0, 2.0, 0.3], [0.2, -0.7, 1.9]])[0]
+
+
+def space(broken: Callable[[Array], Array], dimensions: int, size: float = 1.0, limits: int = 6) -> LimitSpace:
+    """Return a space in which a set around the origin is searched in a box of a size."""
+
+    def flags(points: Array) -> Flags:
+        return np.asarray(broken(points), dtype=np.uint32)
+
+    return LimitSpace(
+        machine="shape",
+        names=("x", "y", "z")[:dimensions],
+        units=("m",) * dimensions,
+        limits=tuple(f"limit{k}" for k in range(limits)),
+        broken_limits=flags,
+        box=np.array([[-size, size]] * dimensions),
+        start=np.zeros(dimensions),
+    )
+
+
+def polytope(normals: Array, distances: Array) -> Callable[[Array], Array]:
+    """Return bit masks of the planes n p <= d that points are beyond."""
+    return lambda points: (points @ normals.T > distances) @ (1 << np.arange(len(normals)))
+
+
+def ball(points: Array) -> Array:
+    return np.sum(points**2, axis=-1) > 1.0
+
+
+def enclosed(surface: Surface) -> float:
+    """Volume by the divergence theorem."""
+    a, b, c = (surface.points[surface.triangles[:, k]] for k in range(3))
+    return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0)
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0, 40.0])
+def test_a_ball(size: float) -> None:
+    """Searched from boxes too small and far too large."""
+    found = workspace(space(ball, 3, size), 41, 240)
+    np.testing.assert_allclose(found.ranges, [[-1.0, 1.0]] * 2, atol=1e-7)
+    np.testing.assert_allclose(found.level_range, [-1.0, 1.0], atol=1e-7)
+    exact = np.pi * np.maximum(1.0 - found.levels**2, 0.0)
+    np.testing.assert_allclose(found.areas, exact, atol=1e-3 * np.pi)
+    np.testing.assert_allclose([s.ranges[0, 1] for s in found.sections[1:-1]], np.sqrt(exact[1:-1] / np.pi), atol=1e-4)
+    assert found.volume == pytest.approx(np.trapezoid(exact, found.levels), rel=1e-4)
+    surface = found.surface(30)
+    np.testing.assert_allclose(np.linalg.norm(surface.points, axis=1), 1.0, atol=1e-4)
+    assert enclosed(surface) == pytest.approx(4.0 / 3.0 * np.pi, rel=1e-2)
+    edges = Counter((int(face[k]), int(face[(k + 1) % 3])) for face in surface.triangles for k in range(3))
+    assert set(edges.values()) == {1}
+    assert all((end, start) in edges for start, end in edges)
+
+
+def test_a_turned_cube_ends_in_its_corners() -> None:
+    """Extremes are corners where three limits meet; each face has the limit that ends it."""
+    normals, distances = np.vstack([TURN, -TURN]), np.full(6, 0.5)
+    found = workspace(space(polytope(normals, distances), 3), 21, 160)
+    corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T @ TURN
+    np.testing.assert_allclose(
+        found.ranges, np.stack([corners.min(axis=0), corners.max(axis=0)], axis=-1)[:2], atol=1e-6
+    )
+    np.testing.assert_allclose(found.level_range, [corners[:, 2].min(), corners[:, 2].max()], atol=1e-6)
+    np.testing.assert_allclose(
+        found.range_levels[0], corners[[corners[:, 0].argmin(), corners[:, 0].argmax()], 2], atol=1e-5
+    )
+    assert found.volume == pytest.approx(1.0, rel=2e-3)
+    surface = found.surface(40)
+    off = surface.points @ normals.T - 0.5
+    assert np.abs(off.max(axis=1)).max() < 1e-4
+    for k in range(6):
+        assert np.abs(off[surface.limits == 1 << k, k]).max() < 1e-4
+
+
+def test_a_slender_ridge_is_followed_to_its_tip() -> None:
+    """A wedge of 3 degrees, askew, whose tip no grid point is near."""
+    along, across = np.array([np.cos(0.7), np.sin(0.7)]), np.array([-np.sin(0.7), np.cos(0.7)])
+    slope = np.tan(np.radians(1.5))
+
+    def broken(points: Array) -> Array:
+        u, v = points @ along, points @ across
+        return (np.abs(v) > slope * (1.0 - u)) | (u < -0.2)
+
+    found = workspace(space(broken, 2, 1.5), 1, 360)
+    assert found.ranges[:, 1] == pytest.approx(along, abs=1e-3)
+
+
+def test_a_plane_set_with_a_hole_and_two_parts() -> None:
+    """A slender triangle of base 0.3 and height 1.5, with a round hole, next to a turned square of side 0.2."""
+    across, along = np.array([np.cos(0.4), np.sin(0.4)]), np.array([-np.sin(0.4), np.cos(0.4)])
+    square = polytope(np.array([across, along, -across, -along]), np.full(4, 0.1))
+    triangle = polytope(np.array([[-1.0, 0.1], [1.0, 0.1], [0.0, -1.0]]), np.array([0.1, 0.1, 0.5]))
+
+    def broken(points: Array) -> Array:
+        hole = np.sum((points - [0.0, -0.4]) ** 2, axis=-1) < 0.05**2
+        return ((triangle(points) > 0) | hole) & (square(points - [0.6, 0.2]) > 0)
+
+    (section,) = workspace(space(broken, 2), directions=1200).sections
+    assert len(section.lines) == 3
+    assert section.area == pytest.approx(0.5 * 0.3 * 1.5 - np.pi * 0.05**2 + 0.04, rel=2e-3)
+    assert section.ranges[1, 1] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_shares_are_lengths() -> None:
+    """A rectangle of 1.6 by 0.8, whose sides count alike relative to its ranges; corners in part."""
+    sides = polytope(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), np.array([0.8, 0.8, 0.4, 0.4]))
+    shares = workspace_section(space(sides, 2, limits=4), 0.0, 400).limit_shares
+    assert list(shares.values()) == pytest.approx([0.25] * 4, abs=5e-3)
+
+
+def test_sets_without_poses_and_without_ends() -> None:
+    with pytest.raises(UnreachablePoseError, match="the workspace is empty"):
+        workspace(space(lambda points: np.ones(points.shape[:-1]), 3))
+    with pytest.raises(InvalidValueError, match="expected coordinates of shape that joint limits or its reach bound"):
+        workspace(space(lambda points: points[..., 0] > 1.0, 2))
+
+
+def test_a_tiny_set_around_home_is_found() -> None:
+    found = workspace(space(lambda points: ball(points / 1e-3), 3, 10.0), 5, 60)
+    np.testing.assert_allclose(found.ranges, [[-1e-3, 1e-3]] * 2, rtol=1e-6)
+
+
+def test_declared_ranges_are_limits() -> None:
+    """The hexapod declares x and y of +-15 mm, z from 118 to 152 mm; its struts reach farther."""
+    robot = Robot.load("hexapod")
+    within, beyond = (workspace(robot_space(robot, declared_ranges=declared), 5, 60) for declared in (True, False))
+    np.testing.assert_allclose(within.ranges, [[-0.015, 0.015]] * 2, atol=1e-8)
+    np.testing.assert_allclose(within.level_range, [0.118, 0.152], atol=1e-8)
+    assert within.limit_shares[DECLARED_RANGE] > 0.0
+    assert beyond.limit_shares[DECLARED_RANGE] == 0.0
+    assert np.all(np.abs(beyond.ranges) > 0.0155)
+    poses = robot.solve(np.pad(beyond.surface(12).points, ((0, 0), (0, 3))), on_failure="nan")
+    assert poses.within_limits.all()
+
+
+def test_the_reference_engine_finds_the_same_on_its_coarser_grid() -> None:
+    robot = Robot.load("hexapod")
+    spaces = [robot_space(r, declared_ranges=False) for r in (robot, robot.with_engine("pinocchio"))]
+    assert spaces[1].density < spaces[0].density
+    points = np.random.default_rng(3).uniform(spaces[0].box[:, 0], spaces[0].box[:, 1], (40, 3))
+    np.testing.assert_array_equal(spaces[0].broken_limits(points), spaces[1].broken_limits(points))
