@@ -132,11 +132,12 @@ class Workspace:
         from skimage.measure import marching_cubes
 
         cells = max(round(count * self.space.density), 8)
-        axes = [_padded(*ends, cells) for ends in (*self.ranges, self.level_range)]
+        axes = [_padded(low, high, cells) for low, high in (*self.ranges, self.level_range)]
         inside = self.space.within(_nodes(axes))
         if not inside.any():
             raise UnreachablePoseError(f"the workspace of {self.space.machine} is too thin for a surface")
-        places, faces, _, _ = marching_cubes(np.pad(inside, 1).astype(np.float32), 0.5)
+        solid = np.pad(inside, 1).astype(np.float32)
+        places, faces, _, _ = marching_cubes(solid, 0.5)  # type: ignore[no-untyped-call]
 
         def node(index: Array) -> Array:
             return np.column_stack([a[0] + (a[1] - a[0]) * column for a, column in zip(axes, index.T, strict=True)])
@@ -191,7 +192,7 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
     ends, places = _extents(space, inside, cell)
     level_range = ends[2] if space.stacked else np.zeros(2)
     if space.stacked and isinstance(levels, int):
-        given = np.linspace(*level_range, levels)
+        given = np.linspace(level_range[0], level_range[1], levels)
     sections = tuple(_sections(space, given, inside, cell, directions))
     if space.stacked and all(section.empty for section in sections):
         name, unit = space.names[2], space.units[2]
@@ -231,7 +232,7 @@ def _search(space: LimitSpace) -> tuple[Array, Array]:
     """
     count, box, widest = max(9, round(_SEARCH_POINTS * space.density)), space.box, _FARTHEST * np.ptp(space.box, axis=1)
     for _ in range(_MOST_SEARCHES):
-        nodes = _nodes([np.linspace(*ends, count) for ends in box]).reshape(-1, len(box))
+        nodes = _nodes([np.linspace(low, high, count) for low, high in box]).reshape(-1, len(box))
         inside, cell = nodes[space.within(nodes)], np.ptp(box, axis=1) / (count - 1)
         if space.within(space.start):
             inside = np.vstack([inside, space.start])
