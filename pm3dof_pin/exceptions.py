@@ -61,13 +61,16 @@ class DescriptionError(PM3DofError):
         path: the file.
         element: the key, tag or line in the file.
         expected: what was expected there.
+        line: the line, from 1, if known.
     """
 
-    def __init__(self, path: Path | str, element: str, expected: str) -> None:
+    def __init__(self, path: Path | str, element: str, expected: str, line: int | None = None) -> None:
         self.path = Path(path)
+        self.line = line
         self.element = " ".join(element.split())
         self.expected = " ".join(expected.split())
-        super().__init__(f"{self.path}: {self.element}: {self.expected}")
+        place = self.path if line is None else f"{self.path}, line {line}"
+        super().__init__(f"{place}: {self.element}: {self.expected}")
 
 
 class _NotFoundError(PM3DofError):

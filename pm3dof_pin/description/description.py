@@ -71,6 +71,11 @@ class Placement:
         )
 
     @classmethod
+    def from_quaternion(cls, position: tuple[float, ...], quaternion: tuple[float, ...]) -> Placement:
+        """Return the placement with a rotation w, x, y, z, which need not be of length 1."""
+        return cls(position, _normalized(quaternion))
+
+    @classmethod
     def from_se3(cls, placement: pin.SE3) -> Placement:
         """Return a placement of Pinocchio."""
         if np.array_equal(placement.rotation, np.eye(3)):
@@ -86,7 +91,7 @@ class Placement:
     @cached_property
     def rotation(self) -> Matrix:
         """The rotation matrix, shape=(3, 3)."""
-        if self.quaternion[0] == 1.0:
+        if not any(self.quaternion[1:]):
             return np.eye(3)
         w, x, y, z = self.quaternion
         return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
@@ -213,9 +218,19 @@ class Joint:
         return self.type == "fixed"
 
     @property
+    def dof(self) -> int:
+        """Number of degrees of freedom."""
+        return {"fixed": 0, "spherical": 3, "planar": 3, "floating": 6}.get(self.type, 1)
+
+    @property
+    def nq(self) -> int:
+        """Number of coordinates: a continuous joint has cosine and sine, others may have a quaternion."""
+        return {"continuous": 2, "spherical": 4, "planar": 4, "floating": 7}.get(self.type, self.dof)
+
+    @property
     def is_single(self) -> bool:
         """Whether it has one degree of freedom."""
-        return self.type in ("revolute", "continuous", "prismatic", "helical")
+        return self.dof == 1
 
 
 @dataclass(frozen=True)
@@ -284,7 +299,7 @@ class Description:
             raise self.origin.error("robot", "has no bodies, expected some")
         if len(self.bodies) > MAX_BODIES:
             raise self.origin.error("robot", f"has {len(self.bodies)} bodies, expected at most {MAX_BODIES}")
-        for kind, parts in (("body", self.bodies), ("joint", self.joints), ("frame", self.frames)):
+        for kind, parts in (("link", self.bodies), ("joint", self.joints), ("frame", self.frames)):
             names = Counter(part.name for part in parts)
             for part in parts:
                 if not part.name:
@@ -368,6 +383,26 @@ class Description:
             raise JointNotFoundError(name, where or str(self.origin), [j.name for j in self.joints if not j.is_fixed])
         return self.joint_by_name[name]
 
+    def joints_to(self, body: str) -> list[Joint]:
+        """Return the joints from the root to a body, in this order."""
+        joints = []
+        while (joint := self.joint_above.get(body)) is not None:
+            joints.append(joint)
+            body = joint.parent
+        return joints[::-1]
+
+    @cached_property
+    def zero_placements(self) -> Mapping[str, pin.SE3]:
+        """The placements of the bodies in the root where all joints are at their coordinate `zero`."""
+        placements = {self.root.name: pin.SE3.Identity()}
+        pending = [self.root.name]
+        while pending:
+            parent = pending.pop()
+            for joint in self.joints_below[parent]:
+                placements[joint.child] = placements[parent] * joint.placement.se3 * joint.child_placement.se3
+                pending.append(joint.child)
+        return placements
+
     def fixed_to(self, body: str) -> Iterator[Body]:
         """Yield a body and all bodies that fixed joints attach to it, downwards."""
         yield self.body_by_name[body]
@@ -378,6 +413,16 @@ class Description:
     def with_joints(self, joints: Mapping[str, Joint]) -> Description:
         """Return the description with joints replaced, by name."""
         return replace(self, joints=tuple(joints.get(joint.name, joint) for joint in self.joints))
+
+
+def universal_hinges(joint: Joint, cross: str, axes: str) -> tuple[Joint, Joint]:
+    """Return the two hinges that a universal joint consists of, about two of X, Y, Z, with a body between them."""
+    common = replace(joint, type="revolute", lower=None, upper=None, effort=None, velocity=None)
+    first, second = (tuple(float(letter == axis.upper()) for letter in "XYZ") for axis in axes)
+    return (
+        replace(common, name=f"{joint.name}_{axes[0]}", child=cross, axis=first, child_placement=IDENTITY),
+        replace(common, name=f"{joint.name}_{axes[1]}", parent=cross, axis=second, placement=IDENTITY),
+    )
 
 
 def _floats(numbers: Any) -> tuple[float, ...]:

@@ -8,6 +8,9 @@ import numpy as np
 
 from pm3dof_pin.typing import Matrix
 
+MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+"""Names of the entries of a matrix of inertia, in order."""
+
 TOLERANCE = 0.01
 """Tolerance of moments of inertia, relative to the greatest: CAD programs round."""
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
+from pm3dof_pin.description.description import MAX_IN_A_ROW
 from pm3dof_pin.description.inertia_checks import inertia_matrix, inertia_problem, is_reversed
 from pm3dof_pin.description.physical_bounds import ANY, LENGTH, MASS, MOMENT, NOT_NEGATIVE, SIZE, Bounds, parse_numbers
-from pm3dof_pin.description.urdf_checks import MOST_IN_A_ROW
 from pm3dof_pin.description.xml_file import MOST_DEPTH
 from pm3dof_pin.exceptions import DescriptionError
 
@@ -64,8 +64,8 @@ def check_mjcf(root: ElementTree.Element, path: Path) -> None:
         if unknown := {element.get("class", "main"), element.get("childclass", "main")} - classes:
             raise DescriptionError(path, f"<{element.tag}>", f"no default class '{unknown.pop()}' in <default>")
     joints = sum(element.tag.endswith("joint") for element in elements)
-    if joints > MOST_IN_A_ROW:
-        raise DescriptionError(path, "<worldbody>", f"has {joints} joints, expected at most {MOST_IN_A_ROW}")
+    if joints > MAX_IN_A_ROW:
+        raise DescriptionError(path, "<worldbody>", f"has {joints} joints, expected at most {MAX_IN_A_ROW}")
     free = sum(element.tag == "freejoint" or element.get("type") == "free" for element in elements)
     if free > _MOST_FREE:
         raise DescriptionError(

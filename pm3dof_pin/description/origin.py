@@ -20,7 +20,7 @@ class Origin:
 
     def error(self, element: str, expected: str) -> DescriptionError:
         """Return the error that an element here is not as expected."""
-        return DescriptionError(self.path, element if self.line is None else f"line {self.line}: {element}", expected)
+        return DescriptionError(self.path, element, expected, self.line)
 
 
 NOWHERE = Origin()

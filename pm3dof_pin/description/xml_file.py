@@ -6,6 +6,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
 
+from pm3dof_pin.description.origin import Origin
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_bytes
 
@@ -15,8 +16,33 @@ MOST_DEPTH = 200
 _BEGINNING = 2048  # bytes that hold most root elements
 
 
-def read_xml(path: Path | str) -> ElementTree.Element:
+class Element(ElementTree.Element):
+    """An element that knows its file and line."""
+
+    path: Path | str = ""
+    line: int | None = None
+
+    @property
+    def origin(self) -> Origin:
+        """Where the element stands."""
+        return Origin(self.path, self.line)
+
+
+def children(element: Element, *tags: str) -> list[Element]:
+    """Return the children of an element, or those with certain tags, in the order of the file."""
+    return [child for child in element if isinstance(child, Element) and (not tags or child.tag in tags)]
+
+
+def child(element: Element | None, tag: str) -> Element | None:
+    """Return the first child with a tag, or None."""
+    found = None if element is None else element.find(tag)
+    return found if isinstance(found, Element) else None
+
+
+def read_xml(path: Path | str) -> Element:
     """Read the root element of an XML file, without comments; entities, which can expand without limit, are refused.
+
+    Names keep their prefixes, such as `drake:joint`, whether these are declared or not.
 
     Raises:
         DescriptionError: the file is unreadable, too large, too deeply nested, declares entities or is not XML; the
@@ -24,7 +50,9 @@ def read_xml(path: Path | str) -> ElementTree.Element:
     """
     reader = _Reader(path)
     reader.read()
-    return reader.builder.close()
+    root = reader.builder.close()
+    assert isinstance(root, Element)
+    return root
 
 
 def read_root_tag(path: Path | str) -> str:
@@ -44,8 +72,8 @@ class _Reader:
         self._path = path
         self._depth = 0
         self.root_tag = ""
-        self.builder = ElementTree.TreeBuilder()
-        self.parser = expat.ParserCreate(namespace_separator="}")
+        self.builder = ElementTree.TreeBuilder(element_factory=Element)
+        self.parser = expat.ParserCreate()
         self.parser.buffer_text = True
         self.parser.StartElementHandler = self._start
         self.parser.EndElementHandler = self._end
@@ -71,21 +99,16 @@ class _Reader:
         self._depth += 1
         if self._depth > MOST_DEPTH:
             raise DescriptionError(self._path, self._place(), f"expected elements at most {MOST_DEPTH} deep")
-        if "}" in "".join(attributes):
-            attributes = {_qualified(name): value for name, value in attributes.items()}
-        self.builder.start(_qualified(tag), attributes)
+        element = self.builder.start(tag, attributes)
+        assert isinstance(element, Element)
+        element.path, element.line = self._path, self.parser.CurrentLineNumber
 
     def _end(self, tag: str) -> None:
         self._depth -= 1
-        self.builder.end(_qualified(tag))
+        self.builder.end(tag)
 
     def _refuse_entity(self, name: str, *_: object) -> None:
         raise DescriptionError(self._path, self._place(), f"declares the entity '{name}': expected none")
 
     def _place(self) -> str:
         return f"line {self.parser.CurrentLineNumber}"
-
-
-def _qualified(name: str) -> str:
-    """Format a name as ElementTree does: {namespace}name."""
-    return f"{{{name}" if "}" in name else name

@@ -28,7 +28,6 @@ from pm3dof_pin.elastic.springs import (
 )
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.mechanism.joint_types import VELOCITY_CONSTANTS
 from pm3dof_pin.typing import Indices
 
 _JOINT_MODELS = {
@@ -42,6 +41,10 @@ _JOINT_MODELS = {
 _POSITION_CONSTANTS = {"lowerPositionLimit": -np.inf, "upperPositionLimit": np.inf, "positionLimitMargin": 0.0}
 """With the values for virtual joints."""
 
+_VELOCITY_CONSTANTS = (
+    *("lowerEffortLimit", "upperEffortLimit", "lowerVelocityLimit", "upperVelocityLimit"),
+    *("lowerDryFrictionLimit", "upperDryFrictionLimit", "damping", "armature", "rotorInertia", "rotorGearRatio"),
+)
 _NO_MASS = 1e-12
 
 
@@ -328,7 +331,7 @@ class _Builder:
             old, new = self._old.joints[body.body], self._new.joints[body.joint]
             q_indices[old.idx_q : old.idx_q + old.nq] = np.arange(new.idx_q, new.idx_q + new.nq)
             v_indices[old.idx_v : old.idx_v + old.nv] = np.arange(new.idx_v, new.idx_v + new.nv)
-        for name in VELOCITY_CONSTANTS:
+        for name in _VELOCITY_CONSTANTS:
             self._set(name, v_indices, getattr(self._old, name), getattr(self._new, name))
         for name, unlimited in _POSITION_CONSTANTS.items():
             self._set(name, q_indices, getattr(self._old, name), np.full(self._new.nq, unlimited))

@@ -13,8 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pm3dof_pin.description.inertia_checks import inertia_matrix
-from pm3dof_pin.description.urdf_checks import MOMENTS
+from pm3dof_pin.description.inertia_checks import MOMENTS, inertia_matrix
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.xml_text import document_text
 

@@ -97,7 +97,7 @@ class Robot(Mechanism):
             require_count("threads", threads)
         self.engine, self.threads = engine, threads  # before the rest, which keeps them in copies
         super().__init__(model, closures, **described)
-        self._description |= {"engine": engine, "threads": threads}
+        self._arguments |= {"engine": engine, "threads": threads}
 
     @classmethod
     def load(

@@ -24,6 +24,7 @@ from pm3dof_pin.description.coordinates import (
     ToolComponent,
 )
 from pm3dof_pin.description.couplings import Coupling
+from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.inertia_checks import inertia_problem
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
@@ -61,6 +62,7 @@ class Mechanism:
             centroid at the neutral configuration.
         source: file with the names of frames, joints and springs, for messages; by default that of `files`.
         files: the files the mechanism was read from, if any.
+        description: the description that the mechanism was made of, if any; variants keep that of the original.
 
     Attributes:
         model: Pinocchio's model, to be treated as read-only. The other arguments are attributes of the same name.
@@ -99,6 +101,7 @@ class Mechanism:
         characteristic_length: float | None = None,
         source: Path | str | None = None,
         files: RobotFiles | None = None,
+        description: Description | None = None,
     ) -> None:
         require_kind("model", model, pin.Model, "Pinocchio")
         self._prototype: Self | None = None
@@ -109,6 +112,7 @@ class Mechanism:
         self.tool_frame = tool_frame
         self.springs = tuple(springs)
         self.files = files
+        self.description = description
         self.source = str(source or (files.source if files is not None else model.name))
         self._frame_ids = _frame_ids(self.model)
         translates = _is_translation(self.model)
@@ -145,7 +149,7 @@ class Mechanism:
         self.closure_scale = frozen(np.where(np.array(angular, dtype=bool), 1.0, self.characteristic_length))
         self.limit_groups = self._complete_limit_groups(tuple(limit_groups))
         self.tool_motions = tuple(tool_motions) or TOOL_COMPONENTS
-        self._description: dict[str, Any] = {
+        self._arguments: dict[str, Any] = {
             "couplings": self.couplings,
             "actuated_joints": self.actuated_joints,
             "tool_frame": tool_frame,
@@ -158,6 +162,7 @@ class Mechanism:
             "characteristic_length": self.characteristic_length,
             "source": self.source,
             "files": files,
+            "description": description,
         }
         # excludes properties cached later
         self._described = frozenset(vars(self)) - {"loop_kinematics"} | {"_described"}
@@ -171,7 +176,7 @@ class Mechanism:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(type(self), **self._description), (self.model, self.closures)
+        return partial(type(self), **self._arguments), (self.model, self.closures)
 
     def replace(
         self, *, model: pin.Model | None = None, closures: Iterable[LoopClosure] | None = None, **changes: Any
@@ -180,7 +185,7 @@ class Mechanism:
         variant = type(self)(
             self.model if model is None else model,
             self.closures if closures is None else closures,
-            **(self._description | changes),
+            **(self._arguments | changes),
         )
         variant._prototype = self.prototype
         return variant

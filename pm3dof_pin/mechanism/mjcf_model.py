@@ -15,7 +15,7 @@ from pm3dof_pin.description.coordinates import Command
 from pm3dof_pin.description.mjcf import EqualityConstraint, Mjcf, read_mjcf
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, JointNotFoundError
-from pm3dof_pin.mechanism.model_files import UNLIMITED
+from pm3dof_pin.mechanism.model import UNLIMITED
 
 _logger = logging.getLogger(__name__)
 _INITIAL = "qpos0"

@@ -7,15 +7,19 @@ import logging
 import shutil
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pinocchio as pin
 
+from pm3dof_pin.description import reading
 from pm3dof_pin.description.closures import ClosuresFile, read_closures
+from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.robots import RobotFiles, find_robot
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism.model_files import UNLIMITED, read_model, read_named_configurations
+from pm3dof_pin.mechanism.model import UNLIMITED, build_model
+from pm3dof_pin.mechanism.model_files import read_named_configurations
 
 _logger = logging.getLogger(__name__)
 
@@ -60,22 +64,23 @@ def _urdf_file(urdf: Any) -> Path:
     return path
 
 
-def read_description(files: RobotFiles, tool_frame: str | None = None) -> dict[str, Any]:
+def read_description(files: RobotFiles, tool_frame: str | None = None, *, lenient: bool = False) -> dict[str, Any]:
     """Read all files of a robot into the arguments of :class:`~pm3dof_pin.mechanism.mechanism.Mechanism`.
 
-    `tool_frame` replaces the tool frame of the description if given.
-
-    Raises:
-        DescriptionError: a file is unreadable or malformed.
-        JointNotFoundError: the closures file names a joint that the tree does not have.
+    `tool_frame` replaces the tool frame of the description if given. Raises as
+    :func:`~pm3dof_pin.description.reading.read_description`.
     """
-    closures_file = read_closures(files.closures) if files.closures is not None else ClosuresFile(files.path)
     if files.format == "mjcf":
-        from pm3dof_pin.mechanism.mjcf_model import read_mjcf_model  # few robots need it
+        return _read_mjcf(files, tool_frame)
+    description = reading.read_description(files, lenient=lenient)
+    return arguments_of(replace(description, tool_frame=tool_frame or description.tool_frame))
 
-        model, closures_file = read_mjcf_model(files, closures_file)
-    else:
-        model = read_model(files.urdf, joint_types=closures_file.joint_types, source=files.source)
+
+def _read_mjcf(files: RobotFiles, tool_frame: str | None) -> dict[str, Any]:
+    from pm3dof_pin.mechanism.mjcf_model import read_mjcf_model  # few robots need it
+
+    closures_file = read_closures(files.closures) if files.closures is not None else ClosuresFile(files.path)
+    model, closures_file = read_mjcf_model(files, closures_file)
     _free_joints_without_limits(model, closures_file.actuated_joints, files.path)
     if files.srdf is not None:
         read_named_configurations(model, files.srdf)
@@ -85,6 +90,16 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> dict[s
         "files": files,
     }
     return {name: value for name, value in arguments.items() if name not in ("path", "joint_types")}
+
+
+def arguments_of(description: Description) -> dict[str, Any]:
+    """Return a description as the arguments of a mechanism."""
+    names = (
+        *("closures", "couplings", "actuated_joints", "commands", "motion_coordinates", "coordinates", "limit_groups"),
+        *("tool_frame", "tool_motions", "springs", "files"),
+    )
+    given = {name: getattr(description, name) for name in names}
+    return {"model": build_model(description), "description": description, **given}
 
 
 def _free_joints_without_limits(model: pin.Model, actuated_joints: Sequence[str], path: Path | str) -> None:

@@ -44,7 +44,7 @@ _BODIES = (Body("a"), Body("b"), Body("c"))
     ("bodies", "joints", "message"),
     [
         ((), (), "has no bodies"),
-        ((*_BODIES, Body("a")), (), "body 'a' is defined twice"),
+        ((*_BODIES, Body("a")), (), "link 'a' is defined twice"),
         (_BODIES, (_joint("j", "a", "b"), _joint("k", "c", "b")), "line 7: link 'b' is the child of two joints"),
         (_BODIES, (_joint("j", "a", "d"),), "line 7: joint 'j': child = expected an existing link, not 'd'"),
         (_BODIES, (_joint("j", "a", "b"),), "has several root links, expected one: a, c"),

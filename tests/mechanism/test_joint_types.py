@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.exceptions import DescriptionError, JointNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.mechanism.joint_types import with_joint_types
 
 Writer = Callable[..., Path]
 
@@ -105,13 +104,6 @@ def test_bodies_and_frames_are_the_old_ones(write_robot: Writer, types: str) -> 
         )
         if placement is not None:
             np.testing.assert_allclose(placement.homogeneous, old_data.oMf[index].homogeneous, atol=1e-15)
-
-
-def test_the_model_that_is_given_stays_as_it_is() -> None:
-    model = pin.buildModelFromXML(CHAIN)
-    before = model.copy()
-    with_joint_types(model, {"knee": "SPHERICAL"}, "robot.yaml")
-    assert model == before
 
 
 @pytest.mark.parametrize("kind", ["UJOINT", "UJOINT_XX", "UJOINT_XYZ", "BALL", "PRISMATIC"])

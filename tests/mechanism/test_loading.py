@@ -131,7 +131,7 @@ def test_a_bad_urdf_is_one_error_and_silence(
     write_robot: Writer, capfd: pytest.CaptureFixture[str], urdf: str, place: str, reason: str
 ) -> None:
     path = write_robot(urdf, NO_CLOSURES)
-    with pytest.raises(DescriptionError, match=f"(?s){path}: {place}.*{reason}"):
+    with pytest.raises(DescriptionError, match=rf"(?s){path}(, line \d+)?: {place}.*{reason}"):
         Robot.load(path)
     assert capfd.readouterr() == ("", "")
 
@@ -184,14 +184,15 @@ def test_characteristic_length_is_a_positive_number(five_bar: Robot, length: flo
         Robot(five_bar.model, five_bar.closures, characteristic_length=length)
 
 
-def test_a_mimic_joint_is_not_passed_over_in_silence(write_robot: Writer, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_mimic_joint_follows(write_robot: Writer) -> None:
     fingers = ARM.replace("</robot>", "") + (
-        '<link name="finger"/><joint name="finger_joint" type="continuous"><parent link="base"/><child link="finger"/>'
-        '<mimic joint="elbow"/></joint></robot>'
+        '<link name="finger"/><joint name="finger_joint" type="revolute"><parent link="base"/><child link="finger"/>'
+        '<mimic joint="elbow" multiplier="-0.5" offset="0.2"/></joint></robot>'
     )
-    with caplog.at_level(logging.WARNING):
-        Robot.load(write_robot(fingers, NO_CLOSURES))
-    assert "<mimic> is ignored; treated as independent: finger_joint" in caplog.text
+    robot = Robot.load(write_robot(fingers, NO_CLOSURES))
+    assert [coupling.joint for coupling in robot.couplings] == ["finger_joint"]
+    assert robot.couplings[0].value([0.4]) == pytest.approx(0.0, abs=1e-15)
+    assert robot.actuated_joints == ("elbow",)
 
 
 @pytest.mark.parametrize("limit", ["", '<limit effort="1" velocity="1"/>'])
@@ -200,7 +201,7 @@ def test_a_joint_without_limits_is_unlimited(write_robot: Writer, limit: str) ->
     assert described in ARM
     robot = Robot.load(write_robot(ARM.replace(described, limit), NO_CLOSURES))
     assert (robot.lower_limits.tolist(), robot.upper_limits.tolist()) == ([-np.inf], [np.inf])
-    assert robot.model.effortLimit[0] == (1.0 if limit else 0.0)
+    assert robot.model.effortLimit[0] == (1.0 if limit else np.inf)
 
 
 def test_limits_of_zero_everywhere_are_none(write_robot: Writer, caplog: pytest.LogCaptureFixture) -> None:

@@ -1,0 +1,147 @@
+"""The description of a robot from its files: the tree in any dialect, the closures file and the SRDF."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from pm3dof_pin.description.closures import ClosuresFile, read_closures
+from pm3dof_pin.description.description import Body, Description, Frame, Joint, universal_hinges
+from pm3dof_pin.description.origin import Origin
+from pm3dof_pin.description.physical_bounds import ANY, parse_numbers
+from pm3dof_pin.description.readers.urdf import read_urdf
+from pm3dof_pin.description.robots import RobotFiles
+from pm3dof_pin.description.xml_file import children, read_xml
+
+_logger = logging.getLogger(__name__)
+
+
+def read_description(files: RobotFiles, *, lenient: bool = False) -> Description:
+    """Read all files of a robot; entries of the closures file take precedence over those of the tree's file.
+
+    Args:
+        files: the files, see :func:`~pm3dof_pin.description.robots.find_robot`.
+        lenient: whether elements that could carry a loop, a coupling or a drive, and are not understood, are only
+            listed in :attr:`Description.unread` instead of being refused.
+
+    Raises:
+        DescriptionError: a file is unreadable or malformed.
+        JointNotFoundError: the closures file names a joint that the tree does not have.
+    """
+    description = READERS[files.format](files, lenient)
+    if files.closures is not None:
+        description = _completed(description, read_closures(files.closures))
+    if description.closures and not description.actuated_joints and description.drives:
+        driven = dict.fromkeys(drive.joint for drive in description.drives)
+        description = replace(description, actuated_joints=tuple(driven))
+    description = _without_limits_of_zero(description)
+    if files.srdf is not None:
+        description = _with_srdf(description, files)
+    return replace(description, files=files)
+
+
+def _read_urdf(files: RobotFiles, lenient: bool) -> Description:
+    return read_urdf(read_xml(files.path), lenient=lenient)
+
+
+READERS: Mapping[str, Callable[[RobotFiles, bool], Description]] = MappingProxyType({"urdf": _read_urdf})
+"""Readers of the tree, by dialect."""
+
+
+def _completed(description: Description, file: ClosuresFile) -> Description:
+    """Return a description with the entries of a closures file."""
+    description = _with_joint_types(description, file)
+    taken = ("motion_coordinates", "coordinates", "limit_groups", "tool_motions", "tool_frame", "actuated_joints")
+    given = {name: value for name in taken if (value := getattr(file, name))}
+    return replace(
+        description,
+        closures=(*description.closures, *file.closures),
+        couplings=(*description.couplings, *file.couplings),
+        springs=(*description.springs, *file.springs),
+        commands=file.commands or (() if file.actuated_joints else description.commands),
+        **given,
+    )
+
+
+def _with_joint_types(description: Description, file: ClosuresFile) -> Description:
+    """Return a description with joints replaced as the loader of example-parallel-robots does it.
+
+    The new joints have the frames of the old ones, and no limits. A universal joint becomes two joints, `name_X` and
+    `name_Y` for UJOINT_XY (or any two of the axes); the frame `name` moves with the second.
+    """
+    bodies, frames = list(description.bodies), list(description.frames)
+    joints: list[Joint] = []
+    for name, kind in file.joint_types.items():
+        description.joint(name, f"{file.path}: joint_name")
+        if kind.upper() not in ("SPHERICAL", "FIXED") and not _universal_axes(kind):
+            expected = f"'{kind}' of '{name}' is unknown, expected SPHERICAL, FIXED or UJOINT_XY (two of X, Y, Z)"
+            raise Origin(file.path).error("joint_type", expected)
+    for joint in description.joints:
+        kind = file.joint_types.get(joint.name, "")
+        if axes := _universal_axes(kind):
+            cross = Body(f"{joint.name}_{axes}", origin=joint.origin)
+            bodies.append(cross)
+            frames.append(Frame(joint.name, joint.child, joint.child_placement.inverse(), joint.origin))
+            joints += universal_hinges(joint, cross.name, axes)
+        elif kind.upper() == "SPHERICAL":
+            joints.append(replace(joint, type="spherical", lower=None, upper=None, effort=None, velocity=None))
+        else:
+            joints.append(replace(joint, type="fixed") if kind else joint)
+    return replace(description, bodies=tuple(bodies), joints=tuple(joints), frames=tuple(frames))
+
+
+def _universal_axes(kind: str) -> str:
+    found = re.fullmatch(r"UJOINT_([XYZ])(?!\1)([XYZ])", kind.upper())
+    return found[1] + found[2] if found else ""
+
+
+def _without_limits_of_zero(description: Description) -> Description:
+    """Treat limits 0 .. 0 of all actuated joints as not given."""
+    limited = [joint for joint in description.joints if joint.is_single and joint.type != "continuous"]
+    blocked = {joint.name: joint for joint in limited if joint.lower == joint.upper == 0.0}
+    names = {joint.name for joint in limited}
+    if not blocked or not blocked.keys() >= (set(description.actuated_joints) & names or names):
+        return description
+    message = "%s: limits 0 .. 0 of %d joints, including all actuated ones, are treated as not given"
+    _logger.warning(message, description.origin.path, len(blocked))
+    return description.with_joints({n: replace(joint, lower=None, upper=None) for n, joint in blocked.items()})
+
+
+def _with_srdf(description: Description, files: RobotFiles) -> Description:
+    """Return a description with the named configurations (`group_state`) and collision pairs of the SRDF.
+
+    Joints that the tree does not have, such as a floating base that is fixed here, are ignored with a warning.
+    """
+    assert files.srdf is not None
+    root = read_xml(files.srdf)
+    configurations = dict(description.configurations)
+    for state in children(root, "group_state"):
+        element, values = f"group_state '{state.get('name')}'", {}
+        for entry in children(state, "joint"):
+            joint = description.joint_by_name.get(entry.get("name", ""))
+            if joint is None or joint.is_fixed:
+                message = "%s: %s: no joint '%s' in the model: ignored"
+                _logger.warning(message, files.srdf, element, entry.get("name", ""))
+                continue
+            numbers, problem = parse_numbers(entry.get("value", ""), ANY)
+            sizes = (1, 2) if joint.type == "continuous" else (joint.nq,)
+            if not problem and len(numbers) not in sizes:
+                problem = f"expected a value of {joint.nq} number(s), not '{entry.get('value', '')}'"
+            if not problem and len(numbers) > 1 and not math.hypot(*numbers[_turn(joint) :]):
+                problem = "expected nonzero quaternions and cosine-sine pairs"
+            if problem:
+                raise entry.origin.error(f"{element}: joint '{joint.name}'", problem)
+            values[joint.name] = numbers
+        configurations[str(state.get("name"))] = values
+    pairs = [(pair.get("link1", ""), pair.get("link2", "")) for pair in children(root, "disable_collisions")]
+    untouchable = tuple(pair for pair in pairs if set(pair) <= description.body_by_name.keys())
+    return replace(description, configurations=configurations, untouchable=(*description.untouchable, *untouchable))
+
+
+def _turn(joint: Joint) -> int:
+    """Return where the cosine and sine, or the quaternion, of a joint begin in its numbers."""
+    return {"planar": 2, "floating": 3}.get(joint.type, 0)
