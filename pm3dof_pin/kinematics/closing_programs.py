@@ -92,7 +92,7 @@ class ProgramSource:
             step = self._stored(f"step {task}", dense, lambda: closing_program(own, task, samples, dense=dense))
             start = self._stored(f"start {task}", dense, lambda: start_program(own, task, samples, dense=dense))
             control = self._stored(f"control {task}", dense, lambda: control_program(own, start))
-            return Walk(step, start.with_parameters(step.parameters), control)
+            return Walk.from_programs(step, start, control)
 
         return self._bound(robot, f"walk {task}", trace)
 

@@ -2,94 +2,125 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.exceptions import ShapeError
+from pm3dof_pin.programs.printing import literal, parameter_values, statements
 from pm3dof_pin.programs.program import Program
-
-EXPRESSIONS = {
-    "negative": "-{0}",
-    "add": "{0} + {1}",
-    "subtract": "{0} - {1}",
-    "multiply": "{0} * {1}",
-    "divide": "{0} / {1}",
-    "sqrt": "sqrt({0})",
-    "sin": "sin({0})",
-    "cos": "cos({0})",
-    "atan2": "atan2({0}, {1})",
-    "absolute": "fabs({0})",
-    "floor": "floor({0})",
-    "minimum": "({0} < {1} || {0} != {0}) ? {0} : {1}",
-    "maximum": "({1} < {0} || {0} != {0}) ? {0} : {1}",
-    "less": "{0} < {1}",
-    "and": "{0} && {1}",
-    "or": "{0} || {1}",
-    "not": "!{0}",
-    "select": "{0} ? {1} : {2}",
-}
-"""C expression of each operation, by operands."""
+from pm3dof_pin.programs.walk import CLOSED, SHORTEST_LEG, Walk
+from pm3dof_pin.typing import Vector
 
 _CONDITIONS = frozenset(("less", "and", "or", "not"))
 
+_WALK = """int {name}(const double *start, const double *targets, const double *p, int max_steps, double *q)
+{{
+  double x[{n_inputs}], block[{n_stepped} + {n_state}];
+  double *const state = block + {n_stepped};
+  int k;
+  for (k = 0; k < {nq}; k++)
+    x[k] = start[k];
+  for (k = 0; k < {m}; k++)
+    x[{nq} + k] = targets[k];
+  x[{nq} + {m}] = {shortest};
+  x[{nq} + {m} + 1] = {tolerance};
+  {name}_start(x, p, state);
+  for (k = 0; k < max_steps && state[{status}] > 0.0; k++) {{
+    {name}_step(state, p, block);
+    {name}_control(block, p, state);
+  }}
+  if (state[{status}] > 0.0)
+    return 4;
+  if (state[{status}] < 0.0)
+    return (int)-state[{status}];
+  for (k = 0; k < {nq}; k++)
+    q[k] = state[{reached} + k];
+  return 0;
+}}
+"""
+
 
 def c99(
-    program: Program,
+    program: Program | Walk,
     *,
-    summary: str,
+    summary: str = "",
     descriptions: Mapping[str, str] | None = None,
     parameters: ArrayLike | None = None,
 ) -> str:
-    """Print a program as one C function without loops, allocation or state, and a table of parameters if given.
+    """Print a program as a C function without allocation or state, and a table of parameters if given.
 
     ``void name(const double *x, const double *p, double *y)`` has inputs x, parameters p and outputs y; y may alias x.
-    ``name_parameters`` holds the parameter values. The comment has a summary and descriptions by name, with units.
+    A walk is ``int name(const double *start, const double *targets, const double *p, int max_steps, double *q)``. It
+    returns 0 and writes q if it arrives, else minus its status, see :data:`~pm3dof_pin.programs.walk.REACHED`, or 4
+    after `max_steps` Newton steps. ``name_parameters`` holds the parameter values. The comment has a summary and
+    descriptions by name, with units.
 
     Raises:
-        InvalidValueError: the number of values is not the number of parameters.
+        ShapeError: the number of values is not the number of parameters.
     """
     texts = descriptions or {}
     parts = ["#include <math.h>", ""]
     if parameters is not None:
-        parts += _table(program, np.asarray(parameters, dtype=float))
-    parts += ["/*", *(f" * {line}".rstrip() for line in _comment(program, summary, texts)), " */"]
-    parts += [f"void {program.name}(const double *x, const double *p, double *y)", "{"]
-    names = [f"x[{k}]" for k in range(len(program.inputs))]
-    names += [f"p[{k}]" for k in range(len(program.parameters))]
-    names += map(literal, program.constants)
+        parts += _table(program, parameter_values(program, parameters))
+    comment = ["/*", *(f" * {line}".rstrip() for line in _comment(program, summary, texts)), " */"]
+    if isinstance(program, Program):
+        return "\n".join([*parts, *comment, *_function(program, program.name), ""])
+    walk, name = program, program.name
+    for part, each in (("step", walk.step), ("start", walk.start), ("control", walk.control)):
+        parts += _function(each, f"{name}_{part}", "static ")
+    loop = _WALK.format(
+        name=name,
+        nq=walk.nq,
+        m=walk.n_targets,
+        n_inputs=len(walk.start.inputs),
+        n_stepped=len(walk.step.results),
+        n_state=len(walk.start.results),
+        shortest=repr(SHORTEST_LEG),
+        tolerance=repr(CLOSED),
+        status=walk.status,
+        reached=walk.reached.start,
+    )
+    return "\n".join([*parts, *comment, loop])
+
+
+def _function(program: Program, name: str, linkage: str = "") -> list[str]:
+    """Return the lines of a function."""
+    lines = [f"{linkage}void {name}(const double *x, const double *p, double *y)", "{"]
     used = {number for _, operands in program.lines for number in operands} | set(program.results)
     first_parameter, first_constant = len(program.inputs), program.first_line - len(program.constants)
     for argument, numbers in (("x", range(first_parameter)), ("p", range(first_parameter, first_constant))):
         if used.isdisjoint(numbers):
-            parts.append(f"  (void){argument};")
-    for number, (operation, operands) in enumerate(program.lines, len(names)):
-        kind = "int" if operation in _CONDITIONS else "double"
-        expression = EXPRESSIONS[operation].format(*(names[k] for k in operands))
-        parts.append(f"  const {kind} v{number} = {expression};")
-        names.append(f"v{number}")
-    results = [names[number] for number in program.results]
-    for k, (name, number) in enumerate(zip(results, program.results, strict=True)):
-        if number < len(program.inputs):  # y may alias x, so everything is read before anything is written
-            parts.append(f"  const double r{k} = {name};")
-            results[k] = f"r{k}"
-    parts += [f"  y[{k}] = {name};" for k, name in enumerate(results)]
-    return "\n".join([*parts, "}", ""])
+            lines.append(f"  (void){argument};")
+    leaves = [f"x[{k}]" for k in range(len(program.inputs))]
+    leaves += [f"p[{k}]" for k in range(len(program.parameters))]
+    leaves += [_literal(constant) for constant in program.constants]
+    body = statements(
+        program,
+        leaves,
+        lambda operation, name, value: f"const {'int' if operation in _CONDITIONS else 'double'} {name} = {value};",
+    )
+    return [*lines, *(f"  {line}" for line in body), "}", ""]
 
 
-def _comment(program: Program, summary: str, descriptions: Mapping[str, str]) -> Iterable[str]:
+def _comment(program: Program | Walk, summary: str, descriptions: Mapping[str, str]) -> Iterable[str]:
     """Yield the lines that describe the function's arguments."""
     yield _harmless(summary)
-    for title, array, names in (
-        ("inputs", "x", program.inputs),
-        ("parameters, the same for all poses", "p", program.parameters),
-    ):
+    arrays = [("parameters, the same for all poses", "p", program.parameters)]
+    if isinstance(program, Walk):
+        positions, targets = program.start.inputs[: program.nq], program.start.inputs[program.nq : -2]
+        arrays = [("a closed configuration", "start", positions), ("targets", "targets", targets), *arrays]
+    else:
+        arrays = [("inputs", "x", program.inputs), *arrays]
+    for title, array, names in arrays:
         yield ""
         yield f"{array}[{len(names)}], {title}:"
         yield from (f"  {array}[{k}]  {_described(name, descriptions)}" for k, name in enumerate(names))
     yield ""
+    if isinstance(program, Walk):
+        yield f"q[{program.nq}]: the configuration at the targets, written if the result is 0. Otherwise the result is"
+        yield "1 if a singular configuration or another branch is on the way, 2 if the loops do not close,"
+        yield "3 if an argument is not a number or too far away, 4 after max_steps Newton steps."
+        return
     yield f"y[{len(program.results)}], outputs:"
     for group, shape in program.outputs.items():
         place = program.slices[group]
@@ -107,22 +138,15 @@ def _harmless(text: str) -> str:
     return text.replace("*/", "* /").replace("/*", "/ *").replace("\n", "\n * ")
 
 
-def _table(program: Program, values: np.ndarray) -> list[str]:
-    if values.shape != (len(program.parameters),):
-        expected = f"{len(program.parameters)} values, as {program.name} has parameters"
-        raise ShapeError("parameters", values.shape, expected)
+def _table(program: Program | Walk, values: Vector) -> list[str]:
     if not len(values):
         return []
     rows = (
-        f"  {literal(value)}, /* {_harmless(name)} */"
+        f"  {_literal(value)}, /* {_harmless(name)} */"
         for name, value in zip(program.parameters, values.tolist(), strict=True)
     )
     return [f"const double {program.name}_parameters[{len(values)}] = {{", *rows, "};", ""]
 
 
-def literal(value: float, nan: str = "NAN", infinity: str = "INFINITY") -> str:
-    """Format a number with all digits, parenthesised where a preceding sign would form another operator."""
-    if math.isnan(value):
-        return nan
-    text = infinity if math.isinf(value) else repr(abs(value))
-    return f"(-{text})" if math.copysign(1.0, value) < 0.0 else text
+def _literal(value: float) -> str:
+    return literal(value, "NAN", "INFINITY")

@@ -2,50 +2,58 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.exceptions import ShapeError
-from pm3dof_pin.programs.c import EXPRESSIONS, literal
+from pm3dof_pin.programs.printing import EXPRESSIONS, MAX_STEPS, literal, parameter_values, statements
 from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.walk import CLOSED, SHORTEST_LEG, Walk
 
-_EXPRESSIONS = EXPRESSIONS | {
-    "sqrt": "Math.sqrt({0})",
-    "sin": "Math.sin({0})",
-    "cos": "Math.cos({0})",
-    "atan2": "Math.atan2({0}, {1})",
-    "absolute": "Math.abs({0})",
-    "floor": "Math.floor({0})",
-}
+_FUNCTIONS = ("sqrt", "sin", "cos", "atan2", "floor")
+_EXPRESSIONS = EXPRESSIONS | {name: f"Math.{EXPRESSIONS[name]}" for name in _FUNCTIONS} | {"absolute": "Math.abs({0})"}
 
 
-def javascript(program: Program, parameters: ArrayLike | None = None) -> str:
-    """Print a program as one JavaScript function of arrays of double-precision numbers.
+def javascript(program: Program | Walk, parameters: ArrayLike | None = None) -> str:
+    """Print a program as a JavaScript function of arrays of double-precision numbers.
 
-    `function name(x, y)` with built-in parameter values, or `function name(x, p, y)` without: inputs x,
-    parameters p, outputs y.
+    A program is `function name(x, y)` with built-in parameter values, or `function name(x, p, y)` without: inputs x,
+    parameters p, outputs y, which may be x. A walk is `function name(start, targets, q)`, or with p before q: it writes
+    q if it arrives, and returns its status, see :data:`~pm3dof_pin.programs.walk.REACHED`, or 1 after too many Newton
+    steps; its step is `name_step`.
 
     Raises:
-        InvalidValueError: the number of values is not the number of parameters.
+        ShapeError: the number of values is not the number of parameters.
     """
-    first = len(program.inputs)
-    names = [f"x[{k}]" for k in range(first)]
-    if parameters is None:
-        names += [f"p[{k}]" for k in range(len(program.parameters))]
-    else:
-        values = np.asarray(parameters, dtype=float)
-        if values.shape != (len(program.parameters),):
-            expected = f"{len(program.parameters)} values, as {program.name} has parameters"
-            raise ShapeError("parameters", values.shape, expected)
-        names += map(_literal, values.tolist())
-    names += map(_literal, program.constants)
-    lines = []
-    for number, (operation, operands) in enumerate(program.lines, len(names)):
-        names.append(f"v{number}")
-        lines.append(f"const v{number}={_EXPRESSIONS[operation].format(*(names[k] for k in operands))};")
-    lines += [f"y[{k}]={names[number]};" for k, number in enumerate(program.results)]
-    arguments = "x,y" if parameters is not None else "x,p,y"
-    return "\n".join([f"function {program.name}({arguments}){{", '"use strict";', *lines, "}"])
+    built_in = parameters is not None
+    values = [] if parameters is None else parameter_values(program, parameters).tolist()
+    p = "" if built_in else "p,"
+    if isinstance(program, Program):
+        return _function(program, program.name, values if built_in else None)
+    walk, name = program, program.name
+    stepped, state = len(walk.step.results), len(walk.start.results)
+    functions = [
+        _function(each, f"{name}_{part}", values if built_in else None)
+        for part, each in (("step", walk.step), ("start", walk.start), ("control", walk.control))
+    ]
+    loop = f"""function {name}(start,targets,{p}q){{
+"use strict";
+const block=new Float64Array({stepped + state}),state=block.subarray({stepped});
+{name}_start([...start,...targets,{SHORTEST_LEG!r},{CLOSED!r}],{p}state);
+for(let k=0;k<{MAX_STEPS}&&state[{walk.status}]>0;k++){{
+{name}_step(state,{p}block);
+{name}_control(block,{p}state);
+}}
+if(state[{walk.status}]===0)q.set(state.subarray({walk.reached.start},{walk.reached.stop}));
+return state[{walk.status}];
+}}"""
+    return "\n".join([*functions, loop])
+
+
+def _function(program: Program, name: str, values: list[float] | None) -> str:
+    leaves = [f"x[{k}]" for k in range(len(program.inputs))]
+    leaves += [f"p[{k}]" for k in range(len(program.parameters))] if values is None else map(_literal, values)
+    leaves += map(_literal, program.constants)
+    lines = statements(program, leaves, lambda _, name, value: f"const {name}={value};", _EXPRESSIONS)
+    return "\n".join([f"function {name}({'x,y' if values is not None else 'x,p,y'}){{", '"use strict";', *lines, "}"])
 
 
 def _literal(value: float) -> str:

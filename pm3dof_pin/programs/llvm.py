@@ -46,7 +46,6 @@ class Walked(NamedTuple):
 
     q: Array  #: the last accepted configurations, shape=(n, nq) [m, rad]
     status: Array  #: see :data:`~pm3dof_pin.programs.walk.REACHED`, shape=(n,)
-    left: Array  #: number of usual legs left, shape=(n,)
 
 
 class Iteration(NamedTuple):
@@ -127,7 +126,7 @@ class Compiled:
         Raises:
             ProgramError: it cannot be loaded.
         """
-        self._walk = program if isinstance(program, Walk) else None
+        self.walk_program = program if isinstance(program, Walk) else None
         self.program = program.step if isinstance(program, Walk) else program
         self._faster = faster
         self._poses = 0
@@ -150,7 +149,7 @@ class Compiled:
                 functions["iterate"] = self._function("iterate", *steps)
             if program.can_march:
                 functions["march"] = self._function("march", *steps, size, size, size, size, pointer, number)
-            if self._walk is not None:
+            if self.walk_program is not None:
                 functions["start"] = self._function("start", *common)
                 functions["walk"] = self._function("walk", *steps)
             self._functions = functions
@@ -251,25 +250,21 @@ class Compiled:
         Raises:
             InvalidValueError: the program is no walk, or an array has the wrong shape.
         """
-        walk = self._walk
+        walk = self.walk_program
         if walk is None:
             raise InvalidValueError("program", self.program.name, "a walk")
         goals = np.asarray(targets, dtype=float)
         begins = np.column_stack([starts, goals, np.full(len(goals), shortest), np.full(len(goals), tolerance)])
         states = np.empty((len(goals), len(walk.start.results)))
         self._run("start", _rows("starts", begins, len(walk.start.inputs)), parameters, states, threads)
-        status, rows = np.ones(len(goals)), np.arange(len(goals))
-        changing = walk.state_size
+        rows = np.arange(len(goals))
         while rows.size:  # those that have ended make room for others in the lanes
-            ends = np.empty((len(rows), changing + 2))
-            whole = len(rows) == len(states)
-            begins = states if whole else states[rows]
+            ends = np.empty((len(rows), walk.status + 2))
+            begins = states if len(rows) == len(states) else states[rows]
             self._run("walk", begins, parameters, ends, threads, 0.0, _STEPS_AT_ONCE, length=_STEPS_AT_ONCE)
-            states[rows, :changing], status[rows] = ends[:, :changing], ends[:, changing]
-            rows = rows[ends[:, changing] > 0.0]
-        places = walk.places
-        left = (1.0 - states[:, places["done"].start]) / states[:, places["longest"].start]
-        return Walked(states[:, places["reached"]], status, left)
+            states[rows, : walk.status + 1] = ends[:, :-1]
+            rows = rows[ends[:, walk.status] > 0.0]
+        return Walked(states[:, walk.reached], states[:, walk.status])
 
     def march(
         self,

@@ -50,7 +50,7 @@ def module(program: Program | Walk, lanes: int, opaque_pointers: bool, fused: bo
         text.march(line, _Line(text, "accept", acceptance_program()))
     if walk is not None:
         text.evaluate("start", _Line(text, "start", walk.start))
-        text.iterate("walk", [line, _Line(text, "control", walk.control)], len(walk.start.results), walk.state_size)
+        text.iterate("walk", [line, _Line(text, "control", walk.control)], len(walk.start.results), walk.status)
     text.copies()
     return "\n".join([*text.lines, f"attributes #0 = {{ nounwind {attributes} }}", ""])
 

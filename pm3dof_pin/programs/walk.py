@@ -16,7 +16,7 @@ it is half as long, until it is too short and the walk has failed. The last leg 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -86,17 +86,22 @@ _LAST_STEPS = 50  # for the last leg: near a singular configuration the first st
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """Programs whose loop is a walk.
+    """Programs whose loop is a walk; all have the parameters of the step.
 
     `start` takes q, the targets, the length of the shortest leg relative to the usual one, usually
     :data:`SHORTEST_LEG`, and the largest closure error, usually :data:`CLOSED`; its outputs are the state, which begins
-    with the inputs of `step`. `control` takes the outputs of `step`, then the state, and returns the first `state_size`
-    numbers of the next state, and the status.
+    with the inputs of `step`. `control` takes the outputs of `step`, then the state, and returns the next state up to
+    the status.
     """
 
     step: Program  #: see :func:`~pm3dof_pin.programs.closing.closing_program`
     start: Program
     control: Program
+
+    @classmethod
+    def from_programs(cls, step: Program, start: Program, control: Program) -> Walk:
+        """Return the walk of programs, which get the parameters of the step."""
+        return cls(step, *(each.with_parameters(step.parameters) for each in (start, control)))
 
     @cached_property
     def nq(self) -> int:
@@ -107,6 +112,10 @@ class Walk:
     def name(self) -> str:
         """Name of the step."""
         return self.step.name
+
+    def renamed(self, name: str) -> Walk:
+        """Return the same walk with another name."""
+        return replace(self, step=replace(self.step, name=name))
 
     @property
     def key(self) -> str:
@@ -119,14 +128,20 @@ class Walk:
         return self.step.parameters
 
     @cached_property
-    def state_size(self) -> int:
-        """Numbers of the state that change; others, which are constant, follow."""
-        return len(self.control.results) - 1
+    def n_targets(self) -> int:
+        """Number of targets."""
+        return len(self.start.inputs) - self.nq - 2
 
     @cached_property
-    def places(self) -> dict[str, slice]:
-        """Slice of each group of the state."""
-        return self.start.slices
+    def status(self) -> int:
+        """Index of the status in the state; the numbers after it are constant."""
+        place: int = self.start.slices["status"].start
+        return place
+
+    @cached_property
+    def reached(self) -> slice:
+        """Slice of the last accepted configuration in the state."""
+        return self.start.slices["reached"]
 
     def evaluate(
         self, starts: ArrayLike, targets: ArrayLike, parameters: ArrayLike, shortest: float = SHORTEST_LEG
@@ -144,12 +159,10 @@ class Walk:
         """
         q, goals = np.asarray(starts, dtype=float), np.asarray(targets, dtype=float)
         states = self.start.evaluate(np.column_stack([q, goals, np.tile([shortest, CLOSED], (len(q), 1))]), parameters)
-        status = np.ones(len(q))
-        while (rows := np.flatnonzero(status > 0.0)).size:
+        while (rows := np.flatnonzero(states[:, self.status] > 0.0)).size:
             stepped = self.step.evaluate(states[rows, : len(self.step.inputs)], parameters)
-            controlled = self.control.evaluate(np.hstack([stepped, states[rows]]))
-            states[rows, : self.state_size], status[rows] = controlled[:, :-1], controlled[:, -1]
-        return states[:, self.places["reached"]], status
+            states[rows, : self.status + 1] = self.control.evaluate(np.hstack([stepped, states[rows]]), parameters)
+        return states[:, self.reached], states[:, self.status]
 
 
 def walk_program(
@@ -160,7 +173,7 @@ def walk_program(
     Samples, `dense` and errors as there; `leg` is the usual length of a leg [rad, characteristic lengths].
     """
     start = start_program(mechanism, task, samples, dense=dense, leg=leg)
-    return Walk(step, start.with_parameters(step.parameters), control_program(mechanism, start))
+    return Walk.from_programs(step, start, control_program(mechanism, start))
 
 
 def accepted(margin: Scalar, jump: Scalar, residual: Scalar, tolerance: Scalar, mode: Scalar, limits: Limits) -> Truth:
@@ -224,7 +237,7 @@ def start_program(
     state: dict[str, Any] = {
         **{"q": q, "margin": 1.0, "jump": 0.0, "given": origins, "reached": q, "earlier": q},
         **{"mode": 0.0, "done": 0.0, "step": 1.0 / legs, "last": 0.0, "goal": 0.0},
-        "count": select(less(distance, far), -1.0, -2.0),
+        **{"count": select(less(distance, far), -1.0, -2.0), "status": 1.0},
         **{"origins": origins, "targets": targets, "longest": 1.0 / legs, "shortest": shortest / legs},
         "tolerance": tolerance,
     }

@@ -56,7 +56,8 @@ class PagePrograms:
 
     - `place(q)`: placements of all joints, rotation and translation row by row, shape=(joints, 3, 4); of the tool; the
       greatest closure error; squared sine, and cosine, of each swing angle with a limit.
-    - `close_coordinates`, `close_commands`: Newton steps, see :func:`~pm3dof_pin.programs.closing.closing_program`.
+    - `walk_coordinates`, `walk_commands`: walks to values of these, see
+      :func:`~pm3dof_pin.programs.javascript.javascript`.
     - `compliance(q)`: C at the tool, and 1 if nothing is in doubt, else 0.
     - `holding(q)`: actuator forces that hold the weight, and the least pivot, small near singular poses.
     - `motion(q)`: twists of the tool [v; omega] for one unit of each error, shape=(6, errors), then of each command,
@@ -139,26 +140,27 @@ class PagePrograms:
             yield declared_errors(self.robot)
         yield GeometricErrors(self.robot, [])
 
-    def closing(self, name: str, coordinates: Sequence[Coordinate]) -> _PageProgram:
-        """Return the Newton step for given coordinates; joints come before components of the tool."""
+    def _walk(self, name: str, coordinates: Sequence[Coordinate]) -> str:
+        """Return the walk to values of coordinates as JavaScript; joints come before components of the tool."""
         joints = tuple(coordinate.joint for coordinate in coordinates if coordinate.joint is not None)
         tool = tuple(coordinate.tool for coordinate in coordinates if coordinate.tool is not None)
-        step = program_source(self.robot).walk(self.robot, Task(joints, tool))
-        return _PageProgram(dataclasses.replace(step.compiled.program, name=name), step.parameters)
+        bound = program_source(self.robot).walk(self.robot, Task(joints, tool))
+        assert bound.compiled.walk_program is not None
+        return javascript(bound.compiled.walk_program.renamed(name), bound.parameters)
 
     @cached_property
     def source(self) -> str:
         """All programs as JavaScript: an object `programs` of functions."""
         robot = self.robot
-        printed = {"place": self.place, "close_coordinates": self.closing("close_coordinates", robot.coordinates)}
+        walks = {"walk_coordinates": robot.coordinates}
         if robot.command_coordinates and robot.command_coordinates != robot.coordinates:
-            printed["close_commands"] = self.closing("close_commands", robot.command_coordinates)
-        if self.holding is not None:
-            printed["holding"] = self.holding
-        if self.motion is not None:
-            printed["motion"] = self.motion
-        functions = [javascript(entry.program, entry.parameters) for entry in printed.values()]
-        members = [f"{name}, {name}_size: {len(entry.program.results)}" for name, entry in printed.items()]
+            walks["walk_commands"] = robot.command_coordinates
+        entries = {"place": self.place, "holding": self.holding, "motion": self.motion}
+        printed = {name: entry for name, entry in entries.items() if entry is not None}
+        functions = [self._walk(name, coordinates) for name, coordinates in walks.items()]
+        functions += [javascript(entry.program, entry.parameters) for entry in printed.values()]
+        members = [f"{name}, {name}_step" for name in walks]
+        members += [f"{name}, {name}_size: {len(entry.program.results)}" for name, entry in printed.items()]
         if self.compliance is not None:
             # the page varies its springs to compute their shares
             functions.append(javascript(self.compliance.program))

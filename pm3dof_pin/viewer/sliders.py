@@ -174,13 +174,13 @@ def sets_of(robot: Robot) -> list[Json]:
     sets = [
         {
             "title": "Coordinates",
-            "program": "close_coordinates",
+            "program": "walk_coordinates",
             **_numbers(robot, robot.coordinates, robot.home_coordinates),
         }
     ]
     if robot.command_coordinates and robot.command_coordinates != robot.coordinates:
         numbers = _numbers(robot, robot.command_coordinates, robot.home.commands)
-        sets.append({"title": "Commands", "program": "close_commands", **numbers})
+        sets.append({"title": "Commands", "program": "walk_commands", **numbers})
     return [entry for entry in sets if entry["numbers"]]
 
 

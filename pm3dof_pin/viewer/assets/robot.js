@@ -7,13 +7,10 @@
 "use strict";
 
 const Robot = (() => {
-  const LEG = 0.1; // largest step of the coordinates [rad, characteristic lengths]
-  const SHORTEST_LEG = LEG / 256;
-  const FAR = 100; // longest path [rad, characteristic lengths]
-  const JUMP = 0.5; // largest step of a joint [rad, characteristic lengths]
+  const JUMP = 0.5; // largest step of a joint from a random start [rad, characteristic lengths]
   const NEARLY_CLOSED = 1e-8; // from here one quadratic step reaches rounding [m, rad]
-  const STEPS = 8;
-  const FAR_STEPS = 60;
+  const FAR_STEPS = 60; // from a random start
+  const PULL = 0.1; // largest change of a coordinate by a pull [rad, characteristic lengths]
   const PULL_STEP = 1e-5; // for the derivative by a coordinate, in characteristic lengths or 0.6 rad
   const PULL_DAMPING = 0.02; // compliance of the dragged point near singular poses [characteristic lengths]
   const RIGID = 1e-14; // relative to the greatest squared velocity: less is rounding
@@ -194,28 +191,16 @@ const Robot = (() => {
       return this.pose(this.data.home);
     }
 
-    // The pose at values of a set's numbers, reached through intermediate poses in the assembly mode of the start; null
-    // if loops do not close, or a singular pose lies in between.
+    // The pose at values of a set's numbers in the branch of the given pose, by the walk that Python and controllers use;
+    // null if it is out of reach.
     moved(pose, set, values) {
-      const start = set.numbers.length ? pose.values(set) : [];
-      const sizes = set.numbers.map(({ unit }) => (unit === "m" ? this.data.length : 1));
-      const way = Math.max(0, ...values.map((value, k) => Math.abs((value - start[k]) / set.numbers[k].scale) / sizes[k]));
-      if (!(way < FAR)) return null;
-      let q = pose.q, done = 0, step = way > LEG ? LEG / way : 1, sign = null;
-      while (done < 1) {
-        const next = done + step > 1 - 1e-9 ? 1 : done + step;
-        const between = next === 1 ? values : values.map((value, k) => start[k] + next * (value - start[k]));
-        const found = this.closed(q, set, between);
-        if (found && (sign === null || found.sign === sign)) {
-          ({ q, sign } = found);
-          done = next;
-          step = Math.min(2 * step, way > LEG ? LEG / way : 1);
-        } else {
-          step /= 2;
-          if (step * Math.max(way, LEG) < SHORTEST_LEG) return null;
-        }
-      }
-      return new Pose(this, q);
+      const q = new Float64Array(pose.q.length);
+      return this.programs[set.program](pose.q, this.given(set, values), q) === 0 ? new Pose(this, q) : null;
+    }
+
+    // The numbers that programs take for values of a set's numbers.
+    given(set, values) {
+      return set.order.map((k) => (values[k] - set.numbers[k].offset) / set.numbers[k].scale);
     }
 
     // All poses at values of a set's numbers that damped steps from random starts find: other assembly modes of the same
@@ -266,8 +251,7 @@ const Robot = (() => {
 
     // Newton's method with limited steps, for distant starts; null if it does not settle.
     settled(start, set, values) {
-      const close = this.programs[set.program], n = start.length;
-      const given = set.order.map((k) => (values[k] - set.numbers[k].offset) / set.numbers[k].scale);
+      const close = this.programs[`${set.program}_step`], n = start.length, given = this.given(set, values);
       const output = new Float64Array(n + 3);
       let q = start;
       for (let step = 0; step < FAR_STEPS; step++) {
@@ -277,30 +261,6 @@ const Robot = (() => {
         const part = step ? Math.min(1, JUMP / jump) : 1; // the first step places the given joints
         q = this.normalised(q.map((entry, k) => entry + part * (output[k] - entry)));
         if (step && residual < NEARLY_CLOSED && jump < NEARLY_CLOSED) return q;
-      }
-      return null;
-    }
-
-    // The pose at values of a set's numbers near joint positions; null if there is none.
-    near(q, set, values) {
-      const found = this.closed(Float64Array.from(q), set, values);
-      return found && new Pose(this, found.q);
-    }
-
-    // Newton's method for a set's numbers: joint positions, and their side of singular poses.
-    closed(start, set, values) {
-      const close = this.programs[set.program], n = start.length;
-      const given = set.order.map((k) => (values[k] - set.numbers[k].offset) / set.numbers[k].scale);
-      const input = Float64Array.from([...start, 1, 0, ...given]), output = new Float64Array(n + 3);
-      let sign = null;
-      for (let step = 0; step < STEPS; step++) {
-        close(input, output);
-        const margin = output[n], jump = output[n + 1], residual = output[n + 2];
-        if (!(jump < JUMP)) return null; // also for NaN
-        if (sign !== null && Math.sign(margin) !== sign) return null;
-        sign = Math.sign(margin);
-        input.set(output.subarray(0, n + 2));
-        if (residual < NEARLY_CLOSED) return { q: output.slice(0, n), sign };
       }
       return null;
     }
@@ -370,9 +330,9 @@ const Robot = (() => {
       const columns = set.numbers.map((_, k) => {
         const beside = values.slice();
         beside[k] += PULL_STEP * sizes[k];
-        const found = this.closed(pose.q, set, beside);
+        const found = this.moved(pose, set, beside);
         if (!found) return [0, 0, 0];
-        return place(new Pose(this, found.q)).map((entry, i) => (entry - point[i]) / PULL_STEP);
+        return place(found).map((entry, i) => (entry - point[i]) / PULL_STEP);
       });
       // y = J^T (J J^T + damping)^-1 missing
       const damping = (PULL_DAMPING * this.data.length) ** 2;
@@ -381,7 +341,7 @@ const Robot = (() => {
       const weights = apply(inverse(square), missing);
       const wanted = values.map((value, k) => {
         const { least, greatest, factor } = set.numbers[k].slider;
-        const change = Math.max(-LEG, Math.min(LEG, dot(columns[k], weights)));
+        const change = Math.max(-PULL, Math.min(PULL, dot(columns[k], weights)));
         return Math.min(greatest / factor, Math.max(least / factor, value + change * sizes[k]));
       });
       return this.moved(pose, set, wanted);

@@ -114,7 +114,7 @@
       if (pm3dof.panel().path?.frames[parts.get("frame")]) pm3dof.go(Number(parts.get("frame")));
       if (set && values.length === set.numbers.length && values.every(Number.isFinite)) {
         const q = listed(parts.get("q")), near = q.length === robot.data.home.length && q.every(Number.isFinite);
-        const found = near ? robot.near(q, set, values) : robot.moved(robot.home(), set, values);
+        const found = robot.moved(near ? robot.pose(q) : robot.home(), set, values);
         if (found) pm3dof.show(found);
       }
       const [of, others] = (parts.get("ellipsoids") || "").split(",");
