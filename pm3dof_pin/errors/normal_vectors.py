@@ -94,8 +94,9 @@ def covariance_root(covariance: Array) -> Array:
         InvalidValueError: the covariance is not symmetric and positive semidefinite.
     """
     scale = np.sqrt(np.einsum("...ii->...i", covariance).clip(min=0.0))
-    floor = _ROUNDING * scale.max(axis=-1, initial=0.0, keepdims=True)  # correlations of rounding errors are arbitrary
-    unit = np.where(scale > 0.0, np.maximum(scale, floor), 1.0)
+    # the root of a rounding error is large, so entries without a spread are measured by a small part of the greatest
+    floor = _ROUNDING * scale.max(axis=-1, initial=0.0, keepdims=True)
+    unit = np.where(floor > 0.0, np.maximum(scale, floor), 1.0)
     values, axes = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
     if not np.allclose(covariance, np.swapaxes(covariance, -1, -2)) or values.min(initial=0.0) < -1e-9:
         raise InvalidValueError("covariance", covariance.tolist(), "a symmetric positive semidefinite matrix")

@@ -35,13 +35,18 @@ class Case:
 CASES = (
     Case("pm3dof", ("--robot", "pm3dof"), (("theta_x", 10.0), ("theta_y", 10.0))),
     Case("hexapod", ("--robot", "hexapod"), (("x", 0.004), ("rz", 2.0))),
-    Case("three_rps", ("--robot", "three_rps"), ()),
+    Case("three_rps", ("--robot", "three_rps"), (("rx", 3.0), ("ry", 3.0))),
     Case("linear_delta", ("--robot", "linear_delta"), (("x", 0.03), ("y", 0.03))),
     Case("delta", ("--robot", str(MACHINES / "delta" / "delta.urdf")), (("x", 0.03), ("y", 0.03))),
     Case("five_bar", ("--robot", str(MACHINES / "five_bar")), (("x", 0.02), ("y", 0.02))),
     Case("three_rpr", ("--robot", str(MACHINES / "three_rpr")), (("px", 0.01), ("py", 0.01))),
     Case("four_bar", ("--robot", str(MACHINES / "four_bar" / "four_bar.closures.yaml")), (("crank_joint", 20.0),)),
-    Case("walker", ("--robot", str(MACHINES / "walker/walker.xml"), "--tool-frame", "left_sole"), (), springs=False),
+    Case(
+        "walker",
+        ("--robot", str(MACHINES / "walker/walker.xml"), "--tool-frame", "left_sole"),
+        (("left_hip_drive", 2.0), ("left_knee_drive", 2.0)),
+        springs=False,
+    ),
     Case("ur5", ("--robot", "ur5", "--tool-frame", "tool0"), (("x", 0.02), ("y", 0.02)), springs=False),
 )
 
@@ -95,3 +100,13 @@ def pm3dof(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], t
         return Done(code, out, err)
 
     return run
+
+
+@pytest.fixture
+def programs_for_few_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let programs compute the few poses for which Pinocchio would be as fast."""
+    from pm3dof_pin.dynamics import batch
+    from pm3dof_pin.errors import error_sums, sensitivity
+
+    for module in (batch, error_sums, sensitivity):
+        monkeypatch.setattr(module, "_PROGRAM_FROM", 0)

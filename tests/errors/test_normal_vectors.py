@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from pm3dof_pin.errors.normal_vectors import expected_norm, norm_quantiles
+from pm3dof_pin.errors.normal_vectors import covariance_root, expected_norm, norm_quantiles
 from pm3dof_pin.exceptions import InvalidValueError
 
 
@@ -56,3 +56,14 @@ def test_the_mean_length_of_a_shifted_vector() -> None:
     )
     folded = scipy.stats.foldnorm(1.5 / 0.4, scale=0.4).mean()
     assert expected_norm([1.5, 0.0, 0.0], np.diag([0.16, 0.0, 0.0])) == pytest.approx(folded, rel=1e-9)
+
+
+def test_the_root_of_a_covariance_of_a_plane_stays_in_the_plane() -> None:
+    """Two independent numbers in three components, three more without any: no spread where there is none."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        columns = np.zeros((6, 2))
+        columns[[0, 1, 5]] = 1e-6 * rng.standard_normal((3, 2))
+        covariance = columns @ columns.T
+        root = covariance_root(covariance)
+        np.testing.assert_allclose(root @ root.T, covariance, atol=1e-14 * covariance.max())
