@@ -148,7 +148,11 @@ def _closures(robot: Robot) -> dict[str, Any]:
     return {
         "closures": [
             {"frame_a": c.frame_a, "frame_b": c.frame_b, "type": c.type, "residual": residual}
-            for c, residual in zip(robot.closures, residuals, strict=True)
+            for c, residual in zip(robot.closures, residuals, strict=False)
+        ],
+        "couplings": [
+            {"joint": c.joint, "joints": c.joints, "coefficients": c.coefficients, "offset": c.offset}
+            for c in robot.couplings
         ],
         "closure_residual": home.closure_residual,
         "home_closure_residual": home.closure_residual,
@@ -255,9 +259,11 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
         x, y, z = (round(value, 6) + 0.0 for value in result["home_tool_position_m"])  # no minus sign on zero
         lines.append(f"tool {result['tool_frame']}, at home x = {x:.6f}, y = {y:.6f}, z = {z:.6f} m")
     closures = ", ".join(f"{c['frame_a']}-{c['frame_b']} ({c['type']})" for c in result["closures"])
+    couplings = ", ".join(coupling.name for coupling in robot.couplings)
     counted = ", ".join(f"{count} {group}" for group, count in (result["error_parameters"] or {}).items())
     lines += [
         f"closures: {closures or 'none'}, residual at home {result['closure_residual']:.1e}",
+        *([f"couplings: {couplings}"] if couplings else []),
         f"moving mass {result['moving_mass_kg']:.4f} kg, {result['springs']} springs",
         "many poses: compiled programs"
         if result["engine_reason"] is None

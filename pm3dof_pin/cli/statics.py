@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.dynamics.statics import ActuatorForces
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.mechanism.configuration import Configuration
     from pm3dof_pin.typing import Array
 
 
@@ -35,7 +36,8 @@ def statics(
     if pose is None:
         return
     result = {"payload_kg": payload, "within_limits": bool(pose.within_limits)}
-    result |= _result(machine, holding_forces(pose.configuration(), payloads=payloads))
+    configuration = pose.configuration()
+    result |= _result(machine, configuration, holding_forces(configuration, payloads=payloads))
     print_at_pose(pose, result, _lines(result), as_json=as_json)
 
 
@@ -51,20 +53,33 @@ def _columns(robot: Robot, poses: Poses, payloads: dict[str, float]) -> dict[str
     return dict(zip(headings, forces.T, strict=True))
 
 
-def _result(robot: Robot, forces: ActuatorForces) -> dict[str, Any]:
+def _result(robot: Robot, configuration: Configuration, forces: ActuatorForces) -> dict[str, Any]:
+    from pm3dof_pin.mechanism.closure_wrenches import closure_wrenches
+
     slides = [robot.single_joint(name).translates for name in robot.actuated_joints]
     numbers = list(zip(forces.actuator_forces, slides, strict=True))
-    wrenches = [forces.closure_forces[rows] for rows in robot.loop_kinematics.rows]
     result: dict[str, Any] = {
         "actuated_joints": robot.actuated_joints,
         "force_N": [number if slide else None for number, slide in numbers],
     }
     if not all(slides):
         result["torque_N_m"] = [None if slide else number for number, slide in numbers]
-    result["closures"] = [f"{closure.frame_a}-{closure.frame_b}" for closure in robot.closures]
-    result["closure_force_N"] = [wrench[:3] for wrench in wrenches]
-    if any(closure.type == "6d" for closure in robot.closures):
-        result["closure_moment_N_m"] = [wrench[3:] if len(wrench) == 6 else None for wrench in wrenches]
+    result["closures"] = [closure.name for closure in robot.closures]
+    turns = [configuration.frame_placement(closure.frame_a).rotation.T for closure in robot.closures]
+    pairs = closure_wrenches(configuration, forces.closure_forces)
+    wrenches = [on_b.reshape(2, 3) @ turn.T for turn, (_, on_b) in zip(turns, pairs, strict=True)]
+    result["closure_force_N"] = [wrench[0] for wrench in wrenches]
+    if any(closure.kind.rotations for closure in robot.closures):
+        result["closure_moment_N_m"] = [
+            wrench[1] if closure.kind.rotations else None
+            for closure, wrench in zip(robot.closures, wrenches, strict=True)
+        ]
+    if robot.couplings:
+        coupled = forces.closure_forces[-len(robot.couplings) :]
+        slides = [robot.single_joint(coupling.joint).translates for coupling in robot.couplings]
+        result["couplings"] = [coupling.name for coupling in robot.couplings]
+        for key, is_force in (("coupling_force_N", True), ("coupling_torque_N_m", False)):
+            result[key] = [f if slide == is_force else None for f, slide in zip(coupled, slides, strict=True)]
     return result | {
         "residual_N": forces.residual,
         "actuator_forces_unique": forces.actuator_forces_unique,
@@ -86,6 +101,13 @@ def _lines(result: dict[str, Any]) -> list[str]:
         lines.append("gravity turns links that are free to spin; this affects neither actuators nor tool")
     if result["closures"]:
         lines += ["", *_closure_lines(result)]
+    if result.get("couplings"):
+        pairs = zip(result["coupling_force_N"], result["coupling_torque_N_m"], strict=True)
+        shown = [
+            [fixed(torque if force is None else force, 6), "N m" if force is None else "N"] for force, torque in pairs
+        ]
+        rows = [[name, *force] for name, force in zip(result["couplings"], shown, strict=True)]
+        lines += ["", *table_lines(["coupling", "force on the joint that follows", ""], rows)]
     return [*lines, "", f"residual {result['residual_N']:.1e} N"]
 
 

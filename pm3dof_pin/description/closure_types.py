@@ -39,6 +39,11 @@ class ClosureType:
         return 1 if self.is_distance else len(self.translations) + len(self.rotations)
 
     @property
+    def holds_vectors(self) -> bool:
+        """Whether it holds whole vectors, all translations and all rotations or none, so that any axes serve."""
+        return self.components in (TOOL_COMPONENTS[:3], TOOL_COMPONENTS)
+
+    @property
     def is_angular(self) -> tuple[bool, ...]:
         """Which rows are rotations, shape=(size,)."""
         return (False,) * (self.size - len(self.rotations)) + (True,) * len(self.rotations)

@@ -128,29 +128,9 @@ def loop_motion(
     wanted = finite_array("accelerations", accelerations, indices.shape) / dof.scale[indices]
     units = dof.scale[indices]
     v = _reached("rates", given, start, np.zeros_like(dof.scale), units)
-    drift = _closure_acceleration(configuration, dof.scale * v)
+    drift = mechanism.loop_kinematics.drift(configuration.q, dof.scale * v)
     a = _reached("accelerations", given, wanted, -dof.closures.inverse @ (drift / mechanism.closure_scale), units)
     return _JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
-
-
-def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vector:
-    """Compute dG/dt v for G v = 0: the acceleration of frame b relative to frame a with dv/dt = 0.
-
-    In the axes of frame a, linear part first, closure by closure, shape=(m,) [m/s^2, rad/s^2].
-    """
-    mechanism = mechanism_of(configuration)
-    model, data = mechanism.model, mechanism.model.createData()
-    pin.forwardKinematics(model, data, np.array(configuration.q), velocity, np.zeros(model.nv))
-    drift = np.zeros(len(configuration.closure_error))
-    for loop, rows in zip(mechanism.closures, mechanism.loop_kinematics.rows, strict=True):
-        a, b = (
-            pin.getFrameClassicalAcceleration(model, data, mechanism.frame_id(frame), pin.LOCAL_WORLD_ALIGNED)
-            for frame in (loop.frame_a, loop.frame_b)
-        )
-        to_a = configuration.frame_placement(loop.frame_a).rotation.T
-        relative = np.concatenate([to_a @ (b.linear - a.linear), to_a @ (b.angular - a.angular)])
-        drift[rows] = relative[: rows.stop - rows.start]
-    return drift
 
 
 def _reached(argument: str, given: Restriction, numbers: Vector, start: Vector, units: Vector) -> Vector:

@@ -26,8 +26,9 @@ class ActuatorForces:
     #: forces f along the actuated joints, in order, with the sign of their coordinates, shape=(number of actuated
     #: joints,) [N, N m]
     actuator_forces: Vector
-    #: force (6d: wrench) lambda on frame b of each closure, opposite to that on frame a, in the axes of frame a,
-    #: closure by closure, shape=(m,) [N, N m]
+    #: forces lambda in the rows of the constraint Jacobian, shape=(m,) [N, N m]: the held components of the wrench on
+    #: frame b of each closure, opposite to that on frame a, in the axes of frame a; then of each coupling the force on
+    #: the joint that follows
     closure_forces: Vector
     #: greatest entry of the residual of the balance [N]; moments are divided by the characteristic length
     residual: float

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.closure_wrenches import closure_wrenches, turning_stiffness
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, add_payloads, weight_scale
 from pm3dof_pin.typing import Matrix, Vector
@@ -92,7 +93,14 @@ class AppliedLoads:
         pin.computeJointJacobians(model, data, q)
         external = pin.StdVec_Force([pin.Force.Zero() for _ in range(model.njoints)])
         turning = np.zeros((model.nv, model.nv))
-        for frame_id, wrench in [*self._wrenches, *self._closure_wrenches(configuration, closure_forces)]:
+        closures = zip(self._mechanism.closures, closure_wrenches(configuration, closure_forces), strict=True)
+        reactions = [
+            (self._mechanism.frame_id(name), wrench)
+            for loop, pair in closures
+            for name, wrench in zip((loop.frame_a, loop.frame_b), pair, strict=True)
+        ]
+        turning += turning_stiffness(configuration, closure_forces)
+        for frame_id, wrench in [*self._wrenches, *reactions]:
             frame = model.frames[frame_id]
             joint, point = frame.parentJoint, frame.placement.translation
             turn = data.oMi[joint].rotation
@@ -107,17 +115,6 @@ class AppliedLoads:
             none = pin.StdVec_Force([pin.Force.Zero() for _ in range(model.njoints)])
             resistance += _static_derivatives(weight_model, weight_data, q, none)
         return resistance
-
-    def _closure_wrenches(self, configuration: Configuration, closure_forces: Vector) -> list[tuple[int, Vector]]:
-        """Return the wrenches of the closures on the bodies they join, world axes."""
-        wrenches = []
-        mechanism = self._mechanism
-        for closure, rows in zip(mechanism.closures, mechanism.loop_kinematics.rows, strict=True):
-            turn = configuration.frame_placement(closure.frame_a).rotation
-            local = closure_forces[rows].reshape(-1, 3) @ turn.T
-            wrench = np.concatenate([*local, np.zeros(6 - local.size)])
-            wrenches += [(mechanism.frame_id(closure.frame_a), -wrench), (mechanism.frame_id(closure.frame_b), wrench)]
-        return wrenches
 
 
 def _weight_model(mechanism: Robot, loads: Loads, factor: float) -> pin.Model:

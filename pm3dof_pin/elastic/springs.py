@@ -8,7 +8,8 @@ An entry is a mapping with a `name`, a `type` and the keys of that type:
   (G J), `unit: N m^2`, `length`, a number [m] or {joint, at_zero}; axially rigid unless there is `axial_stiffness` [N],
   its E A; `elements`, the number of equal elements it is divided into, 1 by default.
 - beam: any 6 x 6 stiffness of a tip; `at`, `matrix`.
-- closure: an elastic loop closure; `closure`, its index in the list of closures, from 0; `matrix`, 3 x 3 or 6 x 6.
+- closure: an elastic loop closure; `closure`, its index in the list of closures, from 0; `matrix`, with a row for each
+  component that the closure holds, 3 x 3 for type 3d, 6 x 6 for 6d.
 
 `at` is a joint or frame; it and everything attached to it move when the spring deflects. Axes and matrices are in the
 axes of `at` (of the closure's first frame), in the order x, y, z, rx, ry, rz [N/m, N, N m/rad].
@@ -130,11 +131,13 @@ class ClosureSpring:
 
     name: str  #: its name
     closure: int  #: index of the closure in the mechanism's list
-    matrix: Matrix  #: stiffness, shape=(3, 3) for a 3d closure, (6, 6) for a 6d one [N/m, N, N m/rad]; read-only
+    #: stiffness by the components that the closure holds, in the axes of its first frame, shape=(3, 3) for a 3d
+    #: closure, (6, 6) for a 6d one [N/m, N, N m/rad]; read-only
+    matrix: Matrix
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        object.__setattr__(self, "matrix", _positive_definite("matrix", self.matrix, (3, 6)))
+        object.__setattr__(self, "matrix", _positive_definite("matrix", self.matrix, (1, 2, 3, 4, 5, 6)))
 
 
 Spring: TypeAlias = JointSpring | AxialSpring | CantileverSpring | BeamSpring | ClosureSpring

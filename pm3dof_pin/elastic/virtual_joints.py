@@ -114,14 +114,21 @@ def _chains(mechanism: Robot, spring: AxialSpring | CantileverSpring | BeamSprin
             mechanism.source, f"spring '{spring.name}': closure", f"is {spring.closure}, expected less than {count}"
         )
     closure = mechanism.closures[spring.closure]
-    size = 3 if closure.type == "3d" else 6
+    size, motions = closure.kind.size, closure.kind.components
+    if not motions:
+        raise DescriptionError(
+            mechanism.source,
+            f"spring '{spring.name}'",
+            f"a {closure.type} closure takes none: expected a body with an axial spring and 3d closures instead",
+        )
     if len(spring.matrix) != size:
         raise DescriptionError(
             mechanism.source,
             f"spring '{spring.name}': matrix",
             f"expected {size} x {size} for a {closure.type} closure",
         )
-    return [_Chain(name, name, closure.frame_a, TOOL_COMPONENTS[:size], pin.SE3.Identity(), spring.closure)]
+    axes = pin.SE3(closure.bases[0], np.zeros(3)) if closure.bases else pin.SE3.Identity()
+    return [_Chain(name, name, closure.frame_a, motions, axes, spring.closure)]
 
 
 def _axes_with_z_along(axis: tuple[float, float, float]) -> pin.SE3:

@@ -311,7 +311,7 @@ def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
         for frame in (loop.frame_a, loop.frame_b):
             if _is_fixed_to_body(robot, frame):
                 on_tool_chain = model.frames[robot.frame_id(frame)].parentJoint in carriers - {0}
-                motions: Sequence[Motion] = ("translation",) if loop.type == "3d" else ("translation", "rotation")
+                motions: Sequence[Motion] = ("translation", "rotation") if loop.kind.rotations else ("translation",)
                 add(frame, "platform" if on_tool_chain else "legs", motions)
     return tuple(parameters.values())
 

@@ -21,11 +21,13 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen, require_choice, require_kind
+from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.mechanism.closure_wrenches import held_directions
 from pm3dof_pin.programs.geometry import frame_names
 from pm3dof_pin.typing import Array, Engine, Mask, Vector
 
@@ -178,6 +180,7 @@ class _Loops:
         self._errors = errors
         self._robot = poses.robot
         self._model = poses.robot.model
+        self._q = poses.q
         self._joints, twists = _tree(self._model, poses.q, self._carriers())
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
 
@@ -202,7 +205,7 @@ class _Loops:
         inputs = np.concatenate([driven, np.arange(nv, self._columns.shape[2])])
         rates = np.zeros((len(self._columns), nv, len(inputs)))
         rates[:, driven, np.arange(len(driven))] = 1.0
-        if not robot.closures:
+        if not robot.has_loops:
             self._require_tool_at_rest(free, np.eye(len(free)))
             return rates, np.zeros((len(rates), len(inputs)))
         closures = self._closures() / robot.closure_scale[:, None]
@@ -274,10 +277,22 @@ class _Loops:
         for loop in self._robot.closures:
             a, b = (self._robot.frame_id(name) for name in (loop.frame_a, loop.frame_b))
             relative = self._columns * (self._errors.movers(b) - self._errors.movers(a))
-            point, axes = self._frame(b)[:, :3, 3, None], np.swapaxes(self._frame(a)[:, :3, :3], 1, 2)
+            at_a, at_b = self._frame(a), self._frame(b)
+            axes = [(at[:, :3, :3] @ turn).T for at, turn in zip((at_a, at_b), _bases(loop), strict=True)]
+            between = (at_b - at_a)[:, :3, 3]
+            toward = (between / np.linalg.norm(between, axis=1)[:, None]).T if loop.kind.is_distance else between.T
+            along, about = held_directions(loop.kind, axes[0], axes[1], toward)
             angular = relative[:, 3:]
-            rows = axes @ (relative[:, :3] + _crossed(angular, point))
-            blocks += [rows] if loop.type == "3d" else [rows, axes @ angular]
+            linear = relative[:, :3] + _crossed(angular, at_b[:, :3, 3, None])
+            for directions, part in ((along, linear), (about, angular)):
+                if directions:
+                    blocks.append(np.einsum("kin,nij->nkj", np.array(directions), part))
+        for coupled in self._robot.loop_kinematics.couplings:
+            rows = np.zeros((len(self._columns), 1, self._columns.shape[2]))
+            rows[:, 0, coupled.joint.v_index] = 1.0
+            for joint, slope in zip(coupled.others, coupled.slopes(self._q), strict=True):
+                rows[:, 0, joint.v_index] = -slope
+            blocks.append(rows)
         return np.concatenate(blocks, axis=1)
 
     def _tool(self) -> Array:
@@ -298,6 +313,10 @@ class _Loops:
                 f"{self._robot.name}: the tool can move with all drives locked at pose "
                 f"{', '.join(map(str, loose[:5]))}{' ...' if loose.size > 5 else ''} of {len(tool)}"
             )
+
+
+def _bases(loop: LoopClosure) -> tuple[Array, Array]:
+    return loop.bases or (np.eye(3), np.eye(3))
 
 
 def _inverses(matrices: Array) -> tuple[Array, Mask]:

@@ -104,7 +104,7 @@ def _further_starts(robot: Robot, coordinates: tuple[Coordinate, ...], targets: 
 
 def _turned_into_limits(robot: Robot, coordinates: tuple[Coordinate, ...], q: Matrix) -> Matrix:
     """Turn joints of a serial arm by whole turns into their limits, where possible."""
-    if robot.closures or any(coordinate.tool is None for coordinate in coordinates):
+    if robot.has_loops or any(coordinate.tool is None for coordinate in coordinates):
         return q
     joints = [
         robot.single_joint(robot.model.names[k]) for k, joint in enumerate(robot.model.joints) if k and joint.nv == 1

@@ -538,7 +538,7 @@ class Robot(Mechanism):
         first = self.prototype
         if first is not self and (first.closures, first.actuated_joints) == (self.closures, self.actuated_joints):
             return first._placing_drives
-        if self.closures:
+        if self.has_loops:
             try:
                 if drives := independent_drives(generic_configuration(self.home)):
                     return drives

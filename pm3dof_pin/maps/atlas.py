@@ -171,7 +171,7 @@ class Atlas:
     def _description(self) -> str:
         """Every number and name that the poses and quantities depend on."""
         robot = self.mapped.robot
-        parts = [robot.closures, robot.commands, robot.coordinates, robot.limit_groups, robot.springs]
+        parts = [robot.closures, robot.couplings, robot.commands, robot.coordinates, robot.limit_groups, robot.springs]
         if isinstance(self.robot, ElasticModel):
             parts += [(block.name, block.coefficients.tolist(), block.length) for block in self.robot.blocks]
         errors = robot.files.errors if robot.files is not None else None

@@ -88,10 +88,12 @@ class Configuration:
 
     @property
     def closure_error(self) -> Vector:
-        """Closure error e, shape=(m,), closure by closure.
+        """Closure error e, shape=(m,), closure by closure, then coupling by coupling [m, rad].
 
-        For a 3d closure, the position of frame b's origin in frame a [m], axes of frame a; for a 6d closure, log6 of
-        the placement of frame b in frame a [m, rad].
+        For a 3d closure, the position of frame b's origin in frame a, axes of frame a; for a 6d closure, log6 of the
+        placement of frame b in frame a; for other types the held components, see
+        :meth:`~pm3dof_pin.mechanism.loop_kinematics.LoopKinematics.closures`. For a coupling, the joint's coordinate
+        minus that which follows from the others.
         """
         return self._closure_error
 
@@ -105,7 +107,8 @@ class Configuration:
         """Constraint Jacobian G, shape=(m, nv): de/dt = G v with e the :attr:`closure_error`.
 
         Exact at any q. On a closed loop, G v is the velocity of frame b relative to frame a, in the axes of frame a. A
-        force (6d: wrench) f on frame b with -f on frame a, in the same axes, has the generalised forces G^T f.
+        force (6d: wrench) f on frame b with -f on frame a, in the same axes, has the generalised forces G^T f; types
+        that hold only some components have rows for these.
         """
         return self._constraint_jacobian
 

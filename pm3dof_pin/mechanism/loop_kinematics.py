@@ -14,7 +14,7 @@ import pinocchio as pin
 from pm3dof_pin.description.closure_types import ClosureType
 from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.mechanism.single_joint import SingleJoint
-from pm3dof_pin.typing import Matrix, Vector
+from pm3dof_pin.typing import Array, Matrix, Vector
 
 _SMALL = 1e-4  # sine below which its series is more accurate [rad]
 
@@ -43,6 +43,10 @@ class CoupledJoints:
     joint: SingleJoint  #: the joint that follows
     others: tuple[SingleJoint, ...]  #: the joints that it follows
 
+    def slopes(self, q: Array) -> list[Any]:
+        """Return the derivatives by the other joints at q, shape=(..., nq)."""
+        return self.coupling.slopes([joint.coordinate(q) for joint in self.others])
+
 
 class LoopKinematics(threading.local):
     """Pinocchio's data for one mechanism, one copy per thread.
@@ -56,7 +60,7 @@ class LoopKinematics(threading.local):
         self._model = model
         self._data = model.createData()
         self._closures = tuple(closures)
-        self._couplings = tuple(couplings)
+        self.couplings = tuple(couplings)
         self._constraints = pin.StdVec_ConstraintModel()
         self._constraint_datas = pin.StdVec_ConstraintData()
         for closure in closures:
@@ -94,7 +98,7 @@ class LoopKinematics(threading.local):
                 jacobian[rows] = held[:, :3] @ own[own_rows]
                 continue
             placement = detail.c1Mc2
-            if closure.kind.size == 6:
+            if closure.kind.holds_vectors:
                 error[rows] = pin.log6(placement).vector
                 jacobian[rows] = pin.Jlog6(placement) @ placement.actionInverse @ own[own_rows]
                 continue
@@ -102,7 +106,7 @@ class LoopKinematics(threading.local):
             # Pinocchio's rows are the twist at frame a's origin, in its axes
             jacobian[rows] = held[:, :3] @ own[own_rows][:3]
             jacobian[rows] += (held[:, 3:] - held[:, :3] @ pin.skew(placement.translation)) @ own[own_rows][3:]
-        for coupled, rows in zip(self._couplings, self.rows[len(self._details) :], strict=True):
+        for coupled, rows in zip(self.couplings, self.rows[len(self._details) :], strict=True):
             error[rows], jacobian[rows] = self._coupled(coupled, q)
         return error, jacobian
 
@@ -115,7 +119,7 @@ class LoopKinematics(threading.local):
             drift[rows] = _drift(
                 closure, *(_Motion.from_data(data, *end) for end in (closure.frame_a, closure.frame_b))
             )
-        for coupled, rows in zip(self._couplings, self.rows[len(self._closures) :], strict=True):
+        for coupled, rows in zip(self.couplings, self.rows[len(self._closures) :], strict=True):
             curvatures = coupled.coupling.curvatures([float(joint.coordinate(q)) for joint in coupled.others])
             drift[rows] = -sum(
                 curvature * v[joint.v_index] ** 2 for curvature, joint in zip(curvatures, coupled.others, strict=True)
@@ -133,13 +137,13 @@ class LoopKinematics(threading.local):
 
     def _coupled(self, coupled: CoupledJoints, q: Vector) -> tuple[float, Vector]:
         """Return error and row of a coupling; angles that a continuous joint makes ambiguous are in (-pi, pi]."""
-        positions = [float(joint.coordinate(q)) for joint in coupled.others]
-        error = float(coupled.joint.coordinate(q)) - coupled.coupling.value(positions)
+        value = coupled.coupling.value([float(joint.coordinate(q)) for joint in coupled.others])
+        error = float(coupled.joint.coordinate(q)) - value
         if any(joint.is_continuous for joint in (coupled.joint, *coupled.others)):
             error = float(np.arctan2(np.sin(error), np.cos(error)))
         row = np.zeros(self._model.nv)
         row[coupled.joint.v_index] = 1.0
-        for joint, slope in zip(coupled.others, coupled.coupling.slopes(positions), strict=True):
+        for joint, slope in zip(coupled.others, coupled.slopes(q), strict=True):
             row[joint.v_index] -= slope
         return error, row
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pm3dof_pin.programs.elimination import DROPPED, Doubt, eliminate, samples, solve_upper, zeros
 from pm3dof_pin.programs.graph import is_zero
-from pm3dof_pin.programs.loops import closure_equations
+from pm3dof_pin.programs.loops import loop_equations
 from pm3dof_pin.programs.projection import rank
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
@@ -49,8 +49,7 @@ def closed_motions(
 def constraint_rows(tree: Tree, unit: float) -> Objects:
     """Return the constraint Jacobian, linear velocities in units of length, shape=(m, nv)."""
     rows = []
-    for index in range(len(tree.mechanism.closures)):
-        equations = closure_equations(tree, index)
+    for equations in loop_equations(tree):
         for i, is_angular in enumerate(equations.is_angular):
             row = zeros(1, len(tree.screws))[0]
             for k, column in equations.columns.items():

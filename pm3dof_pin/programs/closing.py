@@ -31,7 +31,7 @@ from pm3dof_pin.programs.graph import (
     sqrt,
 )
 from pm3dof_pin.programs.joints import cross, objects
-from pm3dof_pin.programs.loops import Equations, closure_equations, largest, largest_residual, tool_equations
+from pm3dof_pin.programs.loops import Equations, largest, largest_residual, loop_equations, tool_equations
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Array, Objects
@@ -171,7 +171,7 @@ def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[st
         else:
             q[joint.q_index] = coordinate
     tree = Tree(graph, mechanism, rows, positions=q, dense=dense)
-    equations = [closure_equations(tree, index) for index in range(len(mechanism.closures))]
+    equations = loop_equations(tree)
     if task.tool:
         equations.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, rows)))
     return _Given(tree, equations, mechanism.length_unit, set(tree.slides), {joint.v_index for joint in held}, further)
@@ -221,7 +221,8 @@ class _System:
 def _scaled(equations: Equations, scale: float, slides: set[int]) -> Equations:
     """Divide lengths by the scale."""
     rows = objects([1.0 if is_angular else 1.0 / scale for is_angular in equations.is_angular])
-    columns = {k: c if k in slides else c * rows for k, c in equations.columns.items()}
+    per_length = objects([scale if is_angular else 1.0 for is_angular in equations.is_angular])
+    columns = {k: c * (per_length if k in slides else rows) for k, c in equations.columns.items()}
     return Equations(equations.error * rows, equations.is_angular, columns, equations.residual)
 
 

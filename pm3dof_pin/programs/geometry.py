@@ -31,13 +31,13 @@ _CONSTANTS = (0.0, 1.0, -1.0)
 
 def structure(mechanism: Mechanism) -> str:
     """Describe what programs depend on besides geometry: joints, their order and types, closures, tool, limits."""
-    if mechanism.couplings or any(loop.type not in ("3d", "6d") for loop in mechanism.closures):
-        raise ProgramError(f"{mechanism.name}: programs do not support its closures or couplings")
     model = mechanism.model
     joints = [
         f"{model.names[index]}:{_kind(model.joints[index])}:{model.parents[index]}" for index in range(1, model.njoints)
     ]
     loops = [f"{loop.frame_a}~{loop.frame_b}:{loop.type}:{loop.swing_limit is None}" for loop in mechanism.closures]
+    loops += [f"{index}:{loop.axis}:{loop.axis_b}" for index, loop in enumerate(mechanism.closures) if loop.bases]
+    loops += map(repr, mechanism.couplings)
     frames = [f"{name}@{model.frames[mechanism.frame_id(name)].parentJoint}" for name in frame_names(mechanism)]
     limits = [
         f"{k}:{int(np.isfinite(a))}{int(np.isfinite(b))}"
@@ -65,6 +65,8 @@ def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float
         found[f"limit/{k}/lower"] = float(lower) - LIMIT_TOLERANCE
         found[f"limit/{k}/upper"] = float(upper) + LIMIT_TOLERANCE
     for index, loop in enumerate(mechanism.closures):
+        if loop.length is not None:
+            found[f"closure/{index}/length"] = loop.length
         if loop.swing_limit is not None:
             angle = loop.swing_limit + LIMIT_TOLERANCE
             found[f"swing/{index}/sine"], found[f"swing/{index}/cosine"] = float(np.sin(angle)), float(np.cos(angle))

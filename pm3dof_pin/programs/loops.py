@@ -1,9 +1,10 @@
-"""Loop closures on recorded numbers: errors, and their derivatives by joint.
+"""Loop closures and couplings on recorded numbers: errors, and their derivatives by joint.
 
-Errors are in world axes: for a 3d closure b - a, the vector from frame a's origin to frame b's; for a 6d closure also
-half the sum of a_k x b_k over the frames' axes, which to first order is the rotation vector from a to b. The columns
-are the derivatives of the errors where the loops are closed, and exact to first order nearby. Joints below both frames
-are omitted: they move a closed loop as a whole.
+Where all three translations are held, their errors are b - a, the vector from frame a's origin to frame b's, in world
+axes; where all three rotations are, half the sum of a_k x b_k over the frames' axes, which to first order is the
+rotation vector from a to b. Otherwise they are components along the axes of frame a. The columns are the derivatives of
+the errors where the loops are closed, and exact to first order nearby. Joints below both frames are omitted: they move
+a closed loop as a whole.
 """
 
 from __future__ import annotations
@@ -14,8 +15,11 @@ from functools import reduce
 
 import numpy as np
 
+from pm3dof_pin.description.closure_types import ClosureType
+from pm3dof_pin.description.couplings import Coupling
+from pm3dof_pin.mechanism.closure_wrenches import held_directions
 from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
-from pm3dof_pin.programs.graph import Scalar, Truth, cos, is_zero, less, maximum, select, sin
+from pm3dof_pin.programs.graph import Scalar, Truth, cos, is_zero, less, maximum, select, sin, sqrt
 from pm3dof_pin.programs.graph import absolute as magnitude
 from pm3dof_pin.programs.joints import Placement, cross, objects
 from pm3dof_pin.programs.tree import Tree
@@ -24,7 +28,7 @@ from pm3dof_pin.typing import Objects
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Equations of one closure, or of the tool."""
+    """Equations of one closure or coupling, or of the tool."""
 
     error: Objects  #: shape=(m,) [m, rad]
     is_angular: tuple[bool, ...]  #: which entries are angles, shape=(m,)
@@ -33,24 +37,102 @@ class Equations:
     residual: Scalar  #: the largest entry of the error, plus 1 if a frame is rotated by more than 90 degrees
 
 
-def closure_equations(tree: Tree, index: int) -> Equations:
-    """Return the equations of the mechanism's loop closure of this index."""
+def loop_equations(tree: Tree) -> list[Equations]:
+    """Return the equations of the mechanism's loop closures, then of its couplings."""
+    closures = [_closure_equations(tree, index) for index in range(len(tree.mechanism.closures))]
+    return closures + [_coupling_equation(tree, coupling) for coupling in tree.mechanism.couplings]
+
+
+def _closure_equations(tree: Tree, index: int) -> Equations:
+    loop = tree.mechanism.closures[index]
+    kind, (a, b) = loop.kind, closure_frames(tree, index)
+    support_a, support_b = tree.support(loop.frame_a), tree.support(loop.frame_b)
+    # where frame b can slide along an axis of frame a, this axis turns about frame a, but is needed at frame b
+    point_a = a.translation if kind.holds_vectors else b.translation
+    twists = {k: _motion(tree, k, b.translation) for k in support_b if k not in support_a}
+    twists |= {k: -_motion(tree, k, point_a) for k in support_a if k not in support_b}
+    rows, between = held_twist(kind, a, b), b.translation - a.translation
+    columns = {k: apply_rows(rows, twist[:, None])[:, 0] for k, twist in twists.items()}
+    linear = [row[:3] @ between for row in rows] if isinstance(rows, np.ndarray) else between[:rows]
+    if kind.is_distance:
+        linear = [linear[0] - tree.geometry.number(f"closure/{index}", "length")]
+    linear = list(linear[: kind.size - len(kind.rotations)])
+    angular, is_far = _angular_error(kind, a.rotation, b.rotation)
+    error = objects([*linear, *angular])
+    return Equations(error, kind.is_angular, columns, largest(error) + is_far)
+
+
+def closure_frames(tree: Tree, index: int) -> tuple[Placement, Placement]:
+    """Return the placements of a closure's frames, with the axes of its type."""
     loop = tree.mechanism.closures[index]
     a, b = tree.frame(loop.frame_a), tree.frame(loop.frame_b)
-    support_a, support_b = tree.support(loop.frame_a), tree.support(loop.frame_b)
-    columns = {k: _motion(tree, k, b.translation) for k in support_b if k not in support_a}
-    columns |= {k: -_motion(tree, k, a.translation) for k in support_a if k not in support_b}
-    error = b.translation - a.translation
-    if loop.type == "3d":
-        error, columns = error, {k: column[:3] for k, column in columns.items()}
-        return Equations(error, (False,) * 3, columns, largest(error))
-    error = objects([*error, *_rotation_error(a.rotation, b.rotation)])
-    return Equations(error, (False,) * 3 + (True,) * 3, columns, largest(error) + _far(a.rotation, b.rotation))
+    if loop.bases is None:
+        return a, b
+    first, second = (objects(basis.tolist()) for basis in loop.bases)
+    return Placement(a.rotation @ first, a.translation), Placement(b.rotation @ second, b.translation)
+
+
+def held_twist(kind: ClosureType, a: Placement, b: Placement) -> Objects | int:
+    """Return the rows that a closure takes from the relative twist of frame b, world axes, shape=(size, 6).
+
+    A number instead says that it takes the first so many components as they are.
+    """
+    if kind.holds_vectors:
+        return kind.size
+    toward = b.translation - a.translation
+    if kind.is_distance:
+        toward = toward * (1.0 / sqrt(toward @ toward))
+    linear, angular = held_directions(kind, a.rotation.T, b.rotation.T, toward)
+    nothing = [0.0] * 3
+    return objects([*([*v, *nothing] for v in linear), *([*nothing, *v] for v in angular)])
+
+
+def apply_rows(rows: Objects | int, twists: Objects) -> Objects:
+    """Return rows of :func:`held_twist` times twists, shape=(6, n)."""
+    return twists[:rows] if isinstance(rows, int) else objects(rows @ twists)
+
+
+def _angular_error(kind: ClosureType, a: Objects, b: Objects) -> tuple[list[Scalar], Scalar]:
+    """Return the errors of the held rotations, and 1 if frames are so far apart that these may vanish too, else 0."""
+    match kind.rotations:
+        case (0, 1, 2):
+            turn = _rotation_error(a, b)
+            return list(turn if kind.holds_vectors else a.T @ turn), _far(a, b)
+        case (0, 1):
+            z = b[:, 2]
+            return [-(a[:, 1] @ z), a[:, 0] @ z], select(less(a[:, 2] @ z, 0.0), 1.0, 0.0)
+        case (2,):
+            return [-(a[:, 0] @ b[:, 1])], 0.0
+    return [], 0.0
+
+
+def _coupling_equation(tree: Tree, coupling: Coupling) -> Equations:
+    """Return the equation of a coupling; if a joint is continuous, its error is the sine of the angle that is left."""
+    joint, *others = (tree.mechanism.single_joint(name) for name in (coupling.joint, *coupling.joints))
+    columns = {joint.v_index: objects([1.0])}
+    positions = [0.0 if other.is_continuous else tree.q[other.q_index] for other in others]
+    for other, slope in zip(others, coupling.slopes(positions), strict=True):
+        columns[other.v_index] = objects([-slope])
+    value: Scalar = coupling.value(positions)
+    is_far: Scalar = 0.0
+    if joint.is_continuous or any(other.is_continuous for other in others):
+        turns = [tree.q[k.q_index : k.q_index + 2] for k in (joint, *others) if k.is_continuous]
+        ratios = [1] if joint.is_continuous else []
+        ratios += [-int(c[0]) for c, other in zip(coupling.coefficients, others, strict=True) if other.is_continuous]
+        angle = -value if joint.is_continuous else tree.q[joint.q_index] - value
+        c, s = cos(angle), sin(angle)
+        for (x, y), ratio in zip(turns, ratios, strict=True):
+            for _ in range(abs(ratio)):
+                c, s = (c * x - s * y, s * x + c * y) if ratio > 0 else (c * x + s * y, s * x - c * y)
+        error, is_far = s, select(less(c, 0.0), 1.0, 0.0)
+    else:
+        error = tree.q[joint.q_index] - value
+    return Equations(objects([error]), (not joint.translates,), columns, largest([error]) + is_far)
 
 
 def closure_residual(tree: Tree) -> Scalar:
-    """Return the largest residual of all closures, 0 if there are none."""
-    return largest_residual(closure_equations(tree, index) for index in range(len(tree.mechanism.closures)))
+    """Return the largest residual of all closures and couplings, 0 if there are none."""
+    return largest_residual(loop_equations(tree))
 
 
 def closed(tree: Tree) -> Truth:
@@ -81,7 +163,7 @@ def _far(a: Objects, b: Objects) -> Scalar:
     return select(less(trace, 1.0), 1.0, 0.0)
 
 
-def largest(numbers: Objects) -> Scalar:
+def largest(numbers: Iterable[Scalar]) -> Scalar:
     """Return the largest magnitude among numbers; 0 if there are none."""
     result: Scalar = 0.0
     for number in numbers:

@@ -32,6 +32,7 @@ from pm3dof_pin.programs.elimination import (
 )
 from pm3dof_pin.programs.graph import is_zero, sqrt
 from pm3dof_pin.programs.joints import Screw, cross
+from pm3dof_pin.programs.loops import apply_rows, closure_frames, held_twist, loop_equations
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
 
@@ -42,6 +43,7 @@ class Column:
 
     screw: Screw
     frames: frozenset[str]
+    joint: int | None = None  #: its entry of v, if it is the rate of a joint
 
     @property
     def slides(self) -> bool:
@@ -65,7 +67,9 @@ def joint_columns(tree: Tree, indices: Iterable[int], frame: str) -> list[Column
     """Return the columns of joint rates by their index in v."""
     loops = tree.mechanism.closures
     names = {name: tree.support(name) for name in {frame, *(n for loop in loops for n in (loop.frame_a, loop.frame_b))}}
-    return [Column(tree.screws[k], frozenset(name for name, support in names.items() if k in support)) for k in indices]
+    return [
+        Column(tree.screws[k], frozenset(name for name, support in names.items() if k in support), k) for k in indices
+    ]
 
 
 def branches(
@@ -177,19 +181,27 @@ def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, O
         [identity(6)],
         [_velocities(columns, [-1.0 * (frame in c.frames) for c in columns], tool, unit)],
     )
-    for loop in tree.mechanism.closures:
+    for index, loop in enumerate(tree.mechanism.closures):
         signs = {name: [float(name in c.frames) for c in columns] for name in (loop.frame_a, loop.frame_b, frame)}
         relative = np.subtract(signs[loop.frame_b], signs[loop.frame_a])
         choices = {factor: relative - factor * np.array(signs[frame]) for factor in (0.0, 1.0, -1.0)}
         factor = min(choices, key=lambda choice: np.count_nonzero(choices[choice]))
-        size = 3 if loop.type == "3d" else 6
-        point = tree.frame(loop.frame_a if factor < 0.0 else loop.frame_b).translation
+        a, b = closure_frames(tree, index)
+        held = held_twist(loop.kind, a, b)
+        point = (a if factor < 0.0 and isinstance(held, int) else b).translation
         lever = (point - tool) * (1.0 / unit)
         twist = identity(6)
         for k in range(3):
             twist[:3, 3 + k] = cross([float(k == i) for i in range(3)], lever)
-        twists.append(twist[:size] * factor)
-        rates.append(_velocities(columns, choices[factor], point, unit)[:size])
+        twists.append(apply_rows(held, twist) * factor)
+        rates.append(apply_rows(held, _velocities(columns, choices[factor], point, unit)))
+    for equation in loop_equations(tree)[len(tree.mechanism.closures) :]:
+        twists.append(zeros(1, 6))
+        rates.append(zeros(1, len(columns)))
+        for k, column in enumerate(columns):
+            if column.joint is not None and column.joint in equation.columns:
+                slope = equation.columns[column.joint][0] * (unit if column.slides else 1.0)
+                rates[-1][0, k] = slope if equation.is_angular[0] else slope * (1.0 / unit)
     return np.vstack(twists), np.vstack(rates)
 
 

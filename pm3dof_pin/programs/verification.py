@@ -14,7 +14,7 @@ from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.graph import Graph
 from pm3dof_pin.programs.joints import objects
-from pm3dof_pin.programs.loops import closure_equations
+from pm3dof_pin.programs.loops import loop_equations
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Array
 
@@ -54,21 +54,19 @@ def _verify(mechanism: Mechanism, closed: Array, *, dense: bool) -> None:
     for k, name in enumerate(frames):
         frame = tree.frame(name)
         outputs[f"frame {k}"] = [*frame.rotation.ravel(), *frame.translation, *tree.jacobian(name).ravel()]
-    for index in range(len(mechanism.closures)):
-        columns = closure_equations(tree, index).columns
-        size = mechanism.loop_kinematics.rows[index].stop - mechanism.loop_kinematics.rows[index].start
-        resting = objects([0.0] * size)
-        outputs[f"closure {index}"] = [x for k in range(model.nv) for x in columns.get(k, resting)]
+    for index, equations in enumerate(loop_equations(tree)):
+        resting = objects([0.0] * len(equations.error))
+        outputs[f"closure {index}"] = [x for k in range(model.nv) for x in equations.columns.get(k, resting)]
     program = graph.program("verification", outputs)
     parameters = geometry.values(mechanism, program.parameters)
     at_random = program.split(program.evaluate(rows, parameters))
     at_samples = program.split(program.evaluate(closed, parameters))
     for q, k in ((q, k) for q in range(len(rows)) for k in range(len(frames))):
         _compare(mechanism, f"frame '{frames[k]}'", at_random[f"frame {k}"][q], _frame(mechanism, frames[k], rows[q]))
-    for q, index in ((q, index) for q in range(len(closed)) for index in range(len(mechanism.closures))):
-        loop = mechanism.closures[index]
+    names = mechanism.constraint_names
+    for q, index in ((q, index) for q in range(len(closed)) for index in range(len(names))):
         traced = at_samples[f"closure {index}"][q].reshape(model.nv, -1).T
-        _compare(mechanism, f"closure {loop.frame_a}-{loop.frame_b}", traced, _closure(mechanism, index, closed[q]))
+        _compare(mechanism, f"closure {names[index]}", traced, _closure(mechanism, index, closed[q]))
 
 
 def _frame(mechanism: Mechanism, name: str, q: Array) -> Array:
@@ -80,12 +78,14 @@ def _frame(mechanism: Mechanism, name: str, q: Array) -> Array:
 
 
 def _closure(mechanism: Mechanism, index: int, q: Array) -> Array:
-    """Return Pinocchio's rows of a closure, rotated from the axes of frame a to the world's."""
+    """Return Pinocchio's rows of a closure or coupling; if the world's axes serve, rotated to them from frame a's."""
     configuration = Configuration(mechanism, q)
-    rotation = configuration.frame_placement(mechanism.closures[index].frame_a).rotation
-    rows = configuration.constraint_jacobian[mechanism.loop_kinematics.rows[index]]
-    turned: Array = np.concatenate([rotation @ part for part in np.split(rows, len(rows) // 3)])
-    return turned
+    rows: Array = configuration.constraint_jacobian[mechanism.loop_kinematics.rows[index]]
+    for loop in mechanism.closures[index : index + 1]:
+        if loop.kind.holds_vectors:
+            rotation = configuration.frame_placement(loop.frame_a).rotation
+            rows = np.concatenate([rotation @ part for part in np.split(rows, len(rows) // 3)])
+    return rows
 
 
 def _compare(mechanism: Mechanism, name: str, traced: Array, expected: Array) -> None:
