@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges, printed_ranges
-from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures.style import FORMATS, save_pictures
 from pm3dof_pin.figures.workspace import workspace_figure
+from pm3dof_pin.maps.chapter_workspace import compare_printed_ranges, printed_ranges, tripod_space
 from pm3dof_pin.maps.storage import write_csv
 from pm3dof_pin.maps.workspace import workspace
 

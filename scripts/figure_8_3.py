@@ -9,12 +9,12 @@ from functools import partial
 from pathlib import Path
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.section import section_values, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
-from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import FORMATS, save_pictures
 from pm3dof_pin.kinematics.robot import load
+from pm3dof_pin.maps.chapter_section import section_values, stiffness_section
+from pm3dof_pin.maps.chapter_workspace import tripod_space
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 TILT = (-math.radians(45.0), math.radians(45.0))  # beyond the boundary of the section on all sides

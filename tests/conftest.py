@@ -221,7 +221,7 @@ def mechanism() -> Robot:
 @pytest.fixture(scope="session")
 def tripod_workspace(tripod: Tripod) -> Workspace:
     """The whole reachable set of the chapter's machine, 61 sections of 90 rays."""
-    from pm3dof_pin.chapter.workspace import tripod_space
+    from pm3dof_pin.maps.chapter_workspace import tripod_space
     from pm3dof_pin.maps.workspace import workspace
 
     return workspace(tripod_space(tripod), 61, 90)

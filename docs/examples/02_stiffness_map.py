@@ -10,7 +10,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.figures.atlas import atlas_pictures
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.maps.grid_map import quantity_map
-from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.maps.quantity import MappedRobot
 
 robot = pm.load("three_rps")
 for coordinate in robot.coordinates:

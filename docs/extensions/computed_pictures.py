@@ -14,11 +14,7 @@ from sphinx.util.typing import ExtensionMetadata
 from studies.passive_leg_radius import passive_leg_radius_figure
 from studies.universal_joint import universal_joint_figure
 
-import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
-from pm3dof_pin.chapter.printed_ranges import printed_ranges
-from pm3dof_pin.chapter.section import section_values, stiffness_section
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.cli.stiffness_map import PICTURES
 from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -31,10 +27,12 @@ from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.figures.workspace import workspace_figure
 from pm3dof_pin.kinematics.robot import Robot, load
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
+from pm3dof_pin.maps.chapter_section import section_values, stiffness_section
+from pm3dof_pin.maps.chapter_workspace import printed_ranges, tripod_space
 from pm3dof_pin.maps.error_section import error_section, errors_over
 from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
 from pm3dof_pin.maps.limit_space import limits_over, robot_space
-from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.maps.workspace import workspace
 from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 

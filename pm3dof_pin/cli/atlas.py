@@ -77,7 +77,7 @@ def atlas(
     ranges; for pm3dof, z_e, theta_x, theta_y. An interrupted job resumes when the same command is run again.
     """
     from pm3dof_pin.maps.atlas import Atlas, compute_atlas
-    from pm3dof_pin.maps.quantities import MappedRobot
+    from pm3dof_pin.maps.quantity import MappedRobot
 
     known = known_quantities(quantity)
     if out.suffix not in (".nc", ".zarr"):

@@ -18,7 +18,6 @@ def robots(incomplete: str) -> list[str]:
 
 def quantities(incomplete: str) -> list[str]:
     """Complete the name of a quantity that can be mapped."""
-    import pm3dof_pin.chapter.quantities  # noqa: F401  registers the chapter's quantities
     from pm3dof_pin.maps.quantities import QUANTITIES
 
     return [name for name in QUANTITIES if name.startswith(incomplete)]

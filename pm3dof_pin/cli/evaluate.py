@@ -28,7 +28,7 @@ from pm3dof_pin.description.coordinates import shown_in
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.maps.quantities import MappedRobot
+    from pm3dof_pin.maps.quantity import MappedRobot
     from pm3dof_pin.maps.workspace_evaluation import Distribution, WorkspaceEvaluation
 
 _POSES = 100_000  # approximate number over all coordinates
@@ -63,7 +63,7 @@ def evaluate(
     what part of the workspace, and the least gain from making it 10 % stiffer.
     """
     from pm3dof_pin.files import write_text_atomically
-    from pm3dof_pin.maps.quantities import MappedRobot
+    from pm3dof_pin.maps.quantity import MappedRobot
     from pm3dof_pin.maps.storage import write_netcdf
     from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 

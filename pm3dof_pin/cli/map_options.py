@@ -18,7 +18,7 @@ from pm3dof_pin.description.coordinates import Coordinate, shown_in
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.maps.quantities import Quantity
+    from pm3dof_pin.maps.quantity import Quantity
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,6 @@ Threads = Annotated[
 
 def known_quantities(names: Sequence[str] | None) -> Mapping[str, Quantity]:
     """Return all quantities that can be mapped, after checking those of `--quantity`."""
-    import pm3dof_pin.chapter.quantities  # registers the chapter's quantities
-    import pm3dof_pin.maps.error_quantities  # noqa: F401  registers tool errors
     from pm3dof_pin.maps.quantities import QUANTITIES
 
     for name in names or ():

@@ -74,7 +74,7 @@ def stiffness_map(
     if height is not None or tilt is not None:
         raise typer.BadParameter("--height and --tilt are for the chapter's map: use --over and --at instead")
     loaded = which.load(engine)
-    from pm3dof_pin.maps.quantities import MappedRobot
+    from pm3dof_pin.maps.quantity import MappedRobot
 
     if over and len(over) != 2:
         raise typer.BadParameter(f"expected --over twice, not {len(over)} times")
@@ -210,9 +210,9 @@ def _map_of_chapter(
     as_json: bool,
     engine: Engine,
 ) -> None:
-    from pm3dof_pin.chapter.section import section_values, stiffness_section
     from pm3dof_pin.chapter.table_8_3 import table_8_3
     from pm3dof_pin.chapter.tilt_grids import RectangularGrid
+    from pm3dof_pin.maps.chapter_section import section_values, stiffness_section
     from pm3dof_pin.maps.storage import write_map
 
     tripod, machine = which.tripod(), which.load() if engine == "pinocchio" else None
@@ -227,8 +227,8 @@ def _map_of_chapter(
         files = write_map(section, out / "stiffness_map")
         progress(2, 2 + len(names))
         if names:
-            from pm3dof_pin.chapter.workspace import tripod_space
             from pm3dof_pin.figures.section_map import section_map
+            from pm3dof_pin.maps.chapter_workspace import tripod_space
 
             dataset, within = section.dataset(), partial(tripod_space(tripod).within, level=z_e)
             for done, name in enumerate(names, start=3):

@@ -58,9 +58,8 @@ def workspace(
     Angles in degrees, lengths in metres. Sections over two coordinates are stacked along a third; the other coordinates
     stay at home, or at the value of --at. Coordinates end at their declared ranges too.
     """
-    from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges, printed_ranges
-    from pm3dof_pin.chapter.workspace import tripod_space
     from pm3dof_pin.exceptions import InvalidValueError
+    from pm3dof_pin.maps.chapter_workspace import compare_printed_ranges, printed_ranges, tripod_space
     from pm3dof_pin.maps.storage import write_map
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 

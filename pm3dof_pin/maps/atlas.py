@@ -42,7 +42,8 @@ from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas_store import AtlasStore, Block, Variable, exclusive_run, require_intact
 from pm3dof_pin.maps.labels import BROKEN_LIMITS, dataset_attributes, flag_attributes, flag_type, limit_names
-from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, Quantity, select_quantities
+from pm3dof_pin.maps.quantities import select_quantities
+from pm3dof_pin.maps.quantity import Evaluation, MappedRobot, Quantity
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -16,7 +16,7 @@ from pm3dof_pin.typing import Array
 if TYPE_CHECKING:
     import xarray as xr
 
-QUANTITIES = {
+ERROR_VARIABLES = {
     "tip_rms": ("m", "tip error, root mean square over machines within their tolerances"),
     "compensable_rms": ("m", "tip error that commands can undo, root mean square"),
     "uncompensable_rms": ("m", "tip error that no command can undo, root mean square"),
@@ -35,8 +35,8 @@ def error_section(
 ) -> tuple[xr.Dataset, ErrorMap]:
     """Compute the first-order errors of the tool over a grid of the robot's coordinates.
 
-    Returns the variables of :data:`QUANTITIES` over the grid, NaN where a pose breaks a limit, with `broken_limits`;
-    and the error map over the poses within the limits. `eta` weighs the orientation in the tip error [m/rad].
+    Returns :data:`ERROR_VARIABLES` over the grid, NaN where a pose breaks a limit, with `broken_limits`; and the error
+    map over the poses within the limits. `eta` weighs the orientation in the tip error [m/rad].
 
     Raises:
         UnreachablePoseError: no pose of the grid is within the limits.
@@ -48,7 +48,7 @@ def error_section(
     result = error_map(errors, within, eta=eta, distribution=distribution)
     variables: dict[str, Variable] = {
         name: ((), getattr(result, name), {"units": unit, "long_name": long_name})
-        for name, (unit, long_name) in QUANTITIES.items()
+        for name, (unit, long_name) in ERROR_VARIABLES.items()
     }
     title = f"First-order errors of {robot.name} over a section of its workspace"
     dataset = grid_dataset(grid, poses, variables, title)
@@ -68,7 +68,7 @@ def errors_over(
     eta: float = TIP_LENGTH,
     distribution: Distribution = "normal",
 ) -> Callable[[Array], Array]:
-    """Return one of :data:`QUANTITIES` as a function of points in a grid's coordinates, shape=(n, m) to (n,).
+    """Return one of :data:`ERROR_VARIABLES` as a function of points in a grid's coordinates, shape=(n, m) to (n,).
 
     For the arguments see :func:`error_section`. NaN beyond the limits.
     """

@@ -21,7 +21,8 @@ from pm3dof_pin.maps.labels import (
     limit_names,
 )
 from pm3dof_pin.maps.limit_space import coordinates_over
-from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, select_quantities
+from pm3dof_pin.maps.quantities import select_quantities
+from pm3dof_pin.maps.quantity import Evaluation, MappedRobot
 from pm3dof_pin.typing import Array, Mask
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.maps.grid_map import quantity_map
 from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
-from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.typing import Array, Mask
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.maps.labels import unit_of_entry
-from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
+from pm3dof_pin.maps.quantities import QUANTITIES, select_quantities
+from pm3dof_pin.maps.quantity import Evaluation, MappedRobot
 from pm3dof_pin.typing import Array
 
 _WIDE = 20.0  # ratio of greatest to least value from which a scale is logarithmic

@@ -16,7 +16,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.limit_space import coordinates_over, robot_space
-from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.maps.workspace import Workspace, workspace
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects

@@ -18,7 +18,7 @@ from pm3dof_pin.export.description import temporary_description
 from pm3dof_pin.figures.labels import entry_words
 from pm3dof_pin.figures.style import FORMATS, INK, TWO_COLUMNS, house_style, new_figure, save_pictures
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"

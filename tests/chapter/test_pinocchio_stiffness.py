@@ -14,10 +14,10 @@ import pytest
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness
 from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness
-from pm3dof_pin.chapter.section import stiffness_section
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.chapter_section import stiffness_section
 from pm3dof_pin.typing import Array
 
 JACOBIANS = ("computeJointJacobians", "computeFrameJacobian", "getFrameJacobian")

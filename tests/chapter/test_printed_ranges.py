@@ -7,7 +7,7 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
-from pm3dof_pin.chapter.printed_ranges import _RangeStatement, compare_printed_ranges
+from pm3dof_pin.maps.chapter_workspace import _RangeStatement, compare_printed_ranges
 from pm3dof_pin.maps.workspace import Workspace
 
 

@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.section import section_values, stiffness_section
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.chapter_section import section_values, stiffness_section
 
 MOTION = ("stiffness_theta_x", "stiffness_theta_y", "stiffness_t_z")
 CONSTRAINED = ("stiffness_t_x", "stiffness_t_y", "stiffness_theta_z")

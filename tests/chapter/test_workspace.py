@@ -11,8 +11,8 @@ from scipy.optimize import fsolve
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
 from pm3dof_pin.chapter.limits import limit_flags
-from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.maps.chapter_workspace import tripod_space
 from pm3dof_pin.maps.workspace import Workspace, workspace, workspace_section
 
 

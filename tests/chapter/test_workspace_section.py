@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
 from pm3dof_pin.chapter.limits import Limit, limit_flags
-from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.maps.chapter_workspace import tripod_space
 from pm3dof_pin.maps.workspace import WorkspaceSection, workspace_section
 
 HEIGHTS = (0.4, 0.4305, 0.487333, 0.53, 0.5535, 0.57)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import pm3dof_pin as pm
-import pm3dof_pin.chapter.quantities
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.chapter.passive_leg import with_passive_leg_radius
@@ -21,7 +20,8 @@ from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.export.description import temporary_description
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.quantities import QUANTITIES, MappedRobot
+from pm3dof_pin.maps.quantities import QUANTITIES
+from pm3dof_pin.maps.quantity import MappedRobot
 
 EI, GJ, MASS, RADIUS = 899.6698, 697.4185, 0.2, 8.6e-3
 STEEL = 2.0941e11

@@ -16,7 +16,8 @@ from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
+from pm3dof_pin.maps.quantities import QUANTITIES, select_quantities
+from pm3dof_pin.maps.quantity import Evaluation, MappedRobot
 
 MACHINES = Path(__file__).parents[1] / "machines"
 BASE = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.9]])

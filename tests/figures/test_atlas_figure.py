@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.figures.atlas import atlas_pictures
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas

@@ -13,12 +13,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.section import section_values, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
-from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.maps.chapter_section import section_values, stiffness_section
+from pm3dof_pin.maps.chapter_workspace import tripod_space
 
 TILT = np.radians([-45.0, 45.0])  # beyond every limit of the section
 GRIDS = {

@@ -12,11 +12,10 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.printed_ranges import printed_ranges
-from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures import workspace as workspace_module
 from pm3dof_pin.figures.style import LIMIT_STYLES, save_figure
 from pm3dof_pin.figures.workspace import _Sheet, workspace_figure
+from pm3dof_pin.maps.chapter_workspace import printed_ranges, tripod_space
 from pm3dof_pin.maps.workspace import Workspace, workspace
 
 

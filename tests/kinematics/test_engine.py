@@ -10,7 +10,7 @@ import pytest
 import pm3dof_pin as pm
 from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.maps.grid_map import quantity_map
-from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.programs.llvm import Compiled
 
 

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.chapter.limits import Limit, limit_flags

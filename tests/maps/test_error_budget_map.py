@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import pm3dof_pin.maps.error_quantities  # noqa: F401  registers them
 from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -26,7 +25,7 @@ from pm3dof_pin.maps.error_budget_map import (
     whole_workspace_grid,
 )
 from pm3dof_pin.maps.grid_map import quantity_map
-from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.maps.quantity import MappedRobot
 
 
 @pytest.fixture(scope="module")

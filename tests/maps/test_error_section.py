@@ -22,7 +22,7 @@ from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.error_section import QUANTITIES, error_section, errors_over
+from pm3dof_pin.maps.error_section import ERROR_VARIABLES, error_section, errors_over
 from pm3dof_pin.maps.limit_space import limits_over
 
 Run = Callable[..., Any]
@@ -47,7 +47,7 @@ def test_each_value_stands_at_its_pose(tripod: Tripod, tripod_errors: GeometricE
     row, column = np.argwhere(inside)[3]
     pose = [section.theta_x.values[row], section.theta_y.values[column], 0.5]
     alone = error_map(tripod_errors, tripod_errors.robot.solve([pose]))
-    for name, (unit, _) in QUANTITIES.items():
+    for name, (unit, _) in ERROR_VARIABLES.items():
         assert section[name].values[row, column] == pytest.approx(getattr(alone, name)[0], rel=1e-9)
         assert section[name].attrs["units"] == unit
 
@@ -73,7 +73,7 @@ def test_on_pinocchio_pose_by_pose(tripod_errors: GeometricErrors) -> None:
     assert few is not None
     reference = GeometricErrors(tripod_errors.robot.with_engine("pinocchio"), tripod_errors.parameters)
     compiled, careful = (error_section(errors, few)[0] for errors in (tripod_errors, reference))
-    for name in QUANTITIES:
+    for name in ERROR_VARIABLES:
         np.testing.assert_allclose(compiled[name], careful[name], rtol=1e-9)
 
 

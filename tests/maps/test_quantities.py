@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness, global_index
 from pm3dof_pin.chapter.elastic_stiffness import contribution_names, elastic_stiffness, spring_contributions
 from pm3dof_pin.chapter.kinematics import inverse_kinematics
+from pm3dof_pin.cli import completion
 from pm3dof_pin.dynamics.batch import natural_frequencies
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.export.description import temporary_description
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.atlas import open_atlas
 from pm3dof_pin.maps.labels import unit_of_entry
-from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, quantity, select_quantities
+from pm3dof_pin.maps.quantities import QUANTITIES, quantity, select_quantities
+from pm3dof_pin.maps.quantity import Evaluation, MappedRobot, Quantity
 from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.viewer.layers import ScalarQuantity
 
 MACHINES = Path(__file__).parents[1] / "machines"
 
 
 def compute(evaluation: Evaluation, name: str) -> Array:
-    return QUANTITIES[name].compute(evaluation)
+    return compute_by(QUANTITIES, evaluation, name)
+
+
+def compute_by(table: Mapping[str, Quantity], evaluation: Evaluation, name: str) -> Array:
+    return table[name].compute(evaluation)
 
 
 @pytest.fixture(scope="module")
@@ -212,17 +221,39 @@ def test_a_robot_without_springs_has_commands_and_no_stiffness() -> None:
         compute(evaluation, "K")
 
 
-def test_a_quantity_of_ones_own(mechanism: Robot) -> None:
-    try:
+def test_a_quantity_of_ones_own_is_an_entry_of_the_table(
+    mechanism: Robot, run: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From then on the library, the command, its list and its completion know it."""
+    table = dict(QUANTITIES)
+    for module in ("maps.quantities", "viewer.layers"):
+        monkeypatch.setattr(f"pm3dof_pin.{module}.QUANTITIES", table)
 
-        @quantity("height", unit="m", long_name="height of the tool")
-        def height(evaluation: Evaluation) -> Array:
-            return evaluation.poses.positions[..., 2]
+    @quantity("height", unit="m", long_name="height of the tool")
+    def height(evaluation: Evaluation) -> Array:
+        return evaluation.poses.positions[..., 2]
 
-        evaluation = Evaluation(MappedRobot(mechanism), mechanism.solve([[0.1, 0.2, 0.5]]))
-        assert compute(evaluation, "height") == pytest.approx(0.5)
-    finally:
-        QUANTITIES.pop("height", None)
+    assert table["height"].compute is height
+    mapped = MappedRobot(mechanism)
+    assert compute_by(table, Evaluation(mapped, mechanism.solve([[0.1, 0.2, 0.5]])), "height") == pytest.approx(0.5)
+    assert "height: height of the tool [m]" in run("atlas", "--list").stdout
+    assert completion.quantities("hei") == ["height"]
+    assert "height" in ScalarQuantity.names(mapped)
+    path = tmp_path / "atlas.nc"
+    ranges = ["--range", "z_e", "0.48", "0.5", "3", "-q", "height", "--no-pictures", "--out", str(path)]
+    assert run("atlas", *ranges).returncode == 0
+    with open_atlas(path) as maps:
+        np.testing.assert_allclose(maps["height"].values, maps["z_e"].values, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "linear_delta", "three_rps"])
+def test_every_quantity_has_the_shape_and_units_it_says(name: str) -> None:
+    robot = Robot.load(name)
+    evaluation = Evaluation(MappedRobot(robot), robot.solve(np.tile(robot.home_coordinates, (2, 1))))
+    for entry in QUANTITIES.values():
+        if entry.exists(evaluation.mapped):
+            assert entry.compute(evaluation).shape == (2, *entry.shape_for(evaluation.mapped)), entry.name
+            assert entry.unit_for(evaluation.mapped), entry.name
 
 
 def test_units_of_entries() -> None:

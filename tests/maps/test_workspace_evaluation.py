@@ -12,7 +12,7 @@ import pytest
 
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.maps.workspace_evaluation import _cell_volumes, evaluate_workspace
 
 AXES = ["x", "y", "z", "rx", "ry", "rz"]

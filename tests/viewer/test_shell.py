@@ -14,7 +14,7 @@ from pm3dof_pin.chapter.kinematics import placement
 from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.quantities import MappedRobot
+from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.viewer.layers import Layer, ScalarQuantity
 from pm3dof_pin.viewer.shell import _Shell, _tool_tips, workspace_shell
 

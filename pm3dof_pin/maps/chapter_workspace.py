@@ -1,4 +1,4 @@
-"""The printed working ranges compared with the reachable set of the machine's own parameters."""
+"""The tripod's workspace (Fig. 8.2): its limits in closed form, and the printed working ranges next to its own."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.chapter.kinematics import inverse_kinematics
-from pm3dof_pin.chapter.limits import limit_flags
+from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
 from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.maps.limit_space import Flags, LimitSpace
 from pm3dof_pin.maps.workspace import Workspace
 from pm3dof_pin.typing import Array
 
@@ -24,6 +25,25 @@ class _RangeStatement:
     computed: tuple[float, ...]  #: the computed numbers; for binding limits, the shares in the order of Limit [unit]
     unit: str  #: "m", "rad" or "1"
     text: str  #: the comparison in words, angles in degrees
+
+
+def tripod_space(tripod: Tripod) -> LimitSpace:
+    """Return theta_x and theta_y, stacked along z_e, with the limits of Table 8.1."""
+
+    def broken(values: Array) -> Flags:
+        return limit_flags(tripod, values).astype(np.uint32)
+
+    lowest, highest = tripod.bounds[4:]
+    tilt = 1.001 * tripod.parameters.universal_limit  # beyond either angle of the passive leg
+    return LimitSpace(
+        machine=tripod.parameters.name,
+        names=("theta_x", "theta_y", "z_e"),
+        units=("rad", "rad", "m"),
+        limits=LIMIT_NAMES,
+        broken_limits=broken,
+        box=np.array([(-tilt, tilt), (-tilt, tilt), (lowest, highest)]),
+        start=np.array([0.0, 0.0, tripod.middle_height]),
+    )
 
 
 def printed_ranges(tripod: Tripod) -> Array:
