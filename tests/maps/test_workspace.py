@@ -87,6 +87,17 @@ def test_a_turned_cube_ends_in_its_corners() -> None:
         assert np.abs(off[surface.limits == 1 << k, k]).max() < 1e-4
 
 
+def test_a_frustum_ends_in_sections_of_different_size() -> None:
+    """Radius 1 - z from z = -0.5 to 0.5: pi / 3 (R^2 + R r + r^2)."""
+
+    def broken(points: Array) -> Array:
+        x, y, z = np.moveaxis(points, -1, 0)
+        return (np.hypot(x, y) > 1.0 - z) + 2 * (np.abs(z) > 0.5)
+
+    found = workspace(space(broken, 3, 1.6), 21, 160)
+    assert found.volume == pytest.approx(np.pi / 3.0 * (1.5**2 + 1.5 * 0.5 + 0.5**2), rel=3e-3)
+
+
 def test_a_slender_ridge_is_followed_to_its_tip() -> None:
     """A wedge of 3 degrees, askew, whose tip no grid point is near."""
     along, across = np.array([np.cos(0.7), np.sin(0.7)]), np.array([-np.sin(0.7), np.cos(0.7)])

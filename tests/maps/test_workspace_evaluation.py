@@ -135,7 +135,12 @@ def test_a_planar_machine() -> None:
 def test_volumes_do_not_depend_on_the_density_of_the_grid(mechanism: Robot) -> None:
     coarse, fine = (mechanism.grid(theta_x=(-0.5, 0.5, n), z_e=(0.45, 0.5, 2 * n)) for n in (4, 9))
     for grid in (coarse, fine):
-        assert _cell_volumes(grid).sum() == pytest.approx(1.0 * 0.05)
+        volumes = _cell_volumes(grid)
+        assert volumes.sum() == pytest.approx(1.0 * 0.05)
+        # and are those of both neighbours' halves: what is linear in a coordinate is integrated exactly
+        tilt, height = np.meshgrid(grid.axes["theta_x"], grid.axes["z_e"], indexing="ij")
+        integral = np.sum(volumes * ((1.0 + tilt) * (1.0 + height)).reshape(volumes.shape))
+        assert integral == pytest.approx(1.0 * (0.05 + 0.5 * (0.5**2 - 0.45**2)), rel=1e-12)
 
 
 def test_nothing_within_the_limits(mechanism: Robot) -> None:
