@@ -19,9 +19,8 @@ from pm3dof_pin.calibration.fit import Fit, Method, fit
 from pm3dof_pin.calibration.fit import Options as Options
 from pm3dof_pin.calibration.folder import summary_of, write_calibration
 from pm3dof_pin.calibration.held_out import HeldOut, held_out_errors, validated_errors
-from pm3dof_pin.calibration.identification import PRIOR
 from pm3dof_pin.calibration.pictures import calibration_pictures
-from pm3dof_pin.calibration.refusals import STRAIN, doubts, likeliest_cause, refusals, strain
+from pm3dof_pin.calibration.refusals import doubts, likely_cause, refusals
 from pm3dof_pin.calibration.report import report_as_html
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors, workspace_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -179,10 +178,11 @@ def calibrate(
             fitted = fitted.with_scatter(held_out.scatter)
         against = refusals(fitted, held_out)
     except (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError) as error:
-        raise CalibrationRefusedError([str(error), *likeliest_cause(seen, errors, options.eta)]) from error
+        cause = likely_cause(seen, errors, options.eta)
+        raise CalibrationRefusedError([str(error), *filter(None, [cause])]) from error
     report_progress(2, 4)
     if against:
-        against += likeliest_cause(seen, errors, options.eta, 1.0 if strain(fitted) > STRAIN else PRIOR)
+        against += filter(None, [likely_cause(seen, errors, options.eta)])
         if on_refusal == "raise":
             raise CalibrationRefusedError(against)
     further = [] if against else list(doubts(fitted, seen))

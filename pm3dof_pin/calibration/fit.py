@@ -121,7 +121,9 @@ class Fit:
         return replace(self, compensation=replace(self.compensation, scatter=scatter))
 
 
-def fit(measurements: Measurements, errors: GeometricErrors, options: Options | None = None) -> Fit:
+def fit(
+    measurements: Measurements, errors: GeometricErrors, options: Options | None = None, *, quiet: bool = False
+) -> Fit:
     """Fit parameters and a learned part to measurements.
 
     Measurements that the identification rejects as outliers are not used for learning either.
@@ -130,6 +132,7 @@ def fit(measurements: Measurements, errors: GeometricErrors, options: Options | 
         measurements: poses, positions or points.
         errors: the parameters, with their tolerances.
         options: method and settings.
+        quiet: whether to return warnings without logging them.
 
     Raises:
         InvalidValueError: too few measurements, or measurements of another frame or machine.
@@ -147,7 +150,7 @@ def fit(measurements: Measurements, errors: GeometricErrors, options: Options | 
     shown = identification.settled[identification.trusted]
     nominal = errors.robot.forward(shown.visits.commands)
     warnings = (*_gaps(identification), *_unseen_motions(shown, nominal, options))
-    for warning in warnings:
+    for warning in () if quiet else warnings:
         logger.warning("%s", warning)
     compensation = compensation_from(shown, errors, options, identification if options.identifies else None)
     if options.identifies:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from pm3dof_pin.calibration.causes import change_in_the_middle, likely_cause
-from pm3dof_pin.calibration.fit import Fit
+from pm3dof_pin.calibration.fit import Fit, Options, fit
 from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import PRIOR, Identification
 from pm3dof_pin.calibration.linearisation import UNKNOWN
+from pm3dof_pin.calibration.mistakes import Mistake, changes_in_the_middle, usual_mistakes
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.calibration.scatter import COVERAGE
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.exceptions import PM3DofError, UnreachablePoseError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 
 STRAIN = 2.0
@@ -33,14 +37,21 @@ _MISPLACED = 8.0  # standard deviations of a target or tool point
 _EXACT = 1e-10  # [m]
 _OTHER = 6.0  # tolerances
 _POSES = 50  # number of poses for judging tolerances
+_EXPLAINS = 0.5  # fraction of the misfit that a mistake may leave
+_OWN = 1.5  # times the possible error of a machine: up to here it needs no mistake
+_HALF = 0.5  # of the noise factor, that a change in the middle may leave
+_ALIKE = 1.5  # times the misfit left by another mistake: not distinguishable from it
+_MOST_FITS = 8  # mistakes tried by a fit
+_MOST_ROWS = 300  # examined
+_BESIDE = 3.0  # widths of a drive's range
+_MOST_REACHED = 0.9  # fraction of the commands
 
 
 def doubts(calibration: Fit, measurements: Measurements) -> Iterator[str]:
     """Yield what is doubtful about a calibration that is not refused: its noise, and parts far from the description."""
     found, eta = calibration.identification, calibration.options.eta
-    shown, poses = found.settled[found.trusted], found.poses[found.trusted]
     noise = _noise_in_words(calibration)
-    change = change_in_the_middle(shown, poses, eta) if found.noise_factor > _NOISY else ""
+    change = _change_in_the_middle(calibration) if found.noise_factor > _NOISY else ""
     if change:
         yield f"residuals are {found.noise_factor:.3g} times the noise: most likely {change}"
     elif found.noise_factor > _LOUD:
@@ -60,9 +71,9 @@ def doubts(calibration: Fit, measurements: Measurements) -> Iterator[str]:
         if abs(value) > _OTHER * parameter.tolerance
     ]
     if parts:
-        cause = ["most likely that change"] if change else likeliest_cause(measurements, errors, eta, 1.0)
-        cause = cause or ["none of the usual mistakes explains it"]
-        yield f"far from the description: {', '.join(parts)}. Another part, or a mistake? {cause[0].capitalize()}"
+        cause = "most likely that change" if change else likely_cause(measurements, errors, eta)
+        cause = cause or "none of the usual mistakes explains it"
+        yield f"far from the description: {', '.join(parts)}. Another part, or a mistake? {cause[0].upper()}{cause[1:]}"
 
 
 def _rounded(measurements: Measurements) -> str:
@@ -112,7 +123,7 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
             f"{found.nuisances.names[worst]} is {1e3 * found.nuisance_values[worst]:.3g} mm from where the file "
             f"has it, {off[worst]:.3g} standard deviations"
         )
-    left = _misfit(calibration)
+    left = _left_over(calibration)
     prior = found.prior if np.isfinite(found.prior) else PRIOR
     expected = _possible_error(errors, found.measurements, calibration.options.eta, max(prior, 1.0))
     if left > expected:
@@ -154,9 +165,11 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
 def _too_few(found: Identification) -> str:
     """Say that the measurements are too few to contradict what is identified from them; "" if they are not."""
     measured = found.measurements
-    rows = np.unique(np.column_stack([measured.pose_numbers, measured.target_numbers]), axis=0, return_index=True)[1]
+    rows = np.unique(np.column_stack([measured.pose_numbers, measured.observation_numbers]), axis=0, return_index=True)[
+        1
+    ]
     equations = int(measured.seen[rows].sum())
-    determined = found.identifiability.rank + int(np.sum(found.nuisances.sigmas >= UNKNOWN))
+    determined = found.identifiability.better_than_tolerance + int(np.sum(found.nuisances.sigmas >= UNKNOWN))
     if equations > determined:
         return ""
     unknowns = found.rows.shape[2]
@@ -164,7 +177,7 @@ def _too_few(found: Identification) -> str:
     return f"{counts}: no redundancy remains to check the result"
 
 
-def _misfit(calibration: Fit) -> float:
+def _left_over(calibration: Fit) -> float:
     """Return the tip error that the identified parameters leave, median over the visits [m]."""
     found = calibration.identification
     seen = seen_errors(found.settled, found.poses[found.settled.first_rows], calibration.options.eta)
@@ -184,16 +197,94 @@ def strain(calibration: Fit) -> float:
     return float(np.sqrt(np.sum(scaled**2) / max(determined, 1.0)))
 
 
-def likeliest_cause(
-    measurements: Measurements, errors: GeometricErrors, eta: float, tolerances: float = PRIOR
-) -> list[str]:
-    """Describe the most likely of the usual mistakes, given a machine this many tolerances off; [] for none."""
+def likely_cause(measurements: Measurements, errors: GeometricErrors, eta: float = TIP_LENGTH) -> str:
+    """Name the mistake that explains why measurements do not fit a machine; "" if no usual one does.
+
+    A mistake is named only if the measurements corrected for it fit the machine to their noise, with parameters within
+    their tolerances and rows to spare. Of several, the one that brings the machine as described nearest to the
+    measurements is named first, then those as near: if the platform never turns, another tool point is equivalent to
+    another frame.
+    """
     try:
-        usual = _possible_error(errors, measurements, eta, 1.0)
-        cause = likely_cause(measurements, errors.robot, eta, least=tolerances * usual, alike=usual)
+        measurements, nominal = _reached(measurements[:_MOST_ROWS], errors.robot)
+        before, possible = _misfit(measurements, nominal, eta), _possible_error(errors, measurements, eta, 1.0)
     except PM3DofError:
-        return []
-    return [] if cause is None else [f"most likely {cause}"]
+        return ""
+    if before < _OWN * possible:
+        return ""
+    found: list[tuple[float, float, Mistake]] = []
+    for mistake in usual_mistakes(measurements, nominal, eta):
+        try:
+            after = _misfit(*_reached(mistake.corrected, errors.robot, nominal), eta)
+        except (PM3DofError, np.linalg.LinAlgError):
+            continue
+        if after < _EXPLAINS * before:
+            found.append((max(after, _OWN * possible), after, mistake))
+    found = sorted(found, key=lambda pair: pair[0])[:_MOST_FITS]
+    fitting = [(rest, after, mistake.text) for rest, after, mistake in found if _fits(mistake, errors, eta)]
+    if not fitting:
+        return ""
+    least, after, first = fitting[0]
+    others = [text for rest, _, text in fitting[1:] if rest <= _ALIKE * least and not text.startswith(first)]
+    return (
+        f"most likely {', or '.join([first, *others[:1]])}; that explains all but {1e3 * after:.3g} mm of "
+        f"{1e3 * before:.3g} mm"
+    )
+
+
+def _fits(mistake: Mistake, errors: GeometricErrors, eta: float) -> bool:
+    """Tell whether a machine within its tolerances fits corrected measurements to their noise."""
+    try:
+        measurements, options = _reached(mistake.corrected, errors.robot)[0], Options("lm", eta=eta)
+        found = fit(measurements, errors, options, quiet=True)
+        if mistake.again is not None:
+            again = mistake.again(found.identification.measurements, found.identification.poses)
+            found = fit(again, errors, options, quiet=True)
+        return found.identification.noise_factor < _LOUD and not refusals(found, None)
+    except (PM3DofError, np.linalg.LinAlgError):
+        return False
+
+
+def _change_in_the_middle(calibration: Fit) -> str:
+    """Say from which line on the measurements are of another set-up; "" if that does not explain their noise.
+
+    A machine identified from all of them lies between the two set-ups.
+    """
+    found, eta = calibration.identification, calibration.options.eta
+    shown, poses = found.settled[found.trusted], found.poses[found.trusted]
+    for mistake in changes_in_the_middle(shown, poses, eta):
+        again = fit(replace(mistake.corrected, lines=shown.lines), found.errors, calibration.options, quiet=True)
+        if again.identification.noise_factor < _HALF * found.noise_factor:
+            return mistake.text
+    return ""
+
+
+def _reached(measurements: Measurements, robot: Robot, guess: Poses | None = None) -> tuple[Measurements, Poses]:
+    """Return the rows whose commands the robot as described can reach, and its poses there.
+
+    Raises:
+        UnreachablePoseError: too few such rows, or commands far outside the drives' ranges, which take long to reach.
+    """
+    lower, upper = np.array([robot.range_of(command) for command in robot.command_coordinates]).T
+    beyond = np.maximum(lower - measurements.commands, measurements.commands - upper) > _BESIDE * (upper - lower)
+    if np.mean(beyond.any(axis=1)) <= 1.0 - _MOST_REACHED:
+        near = measurements[~beyond.any(axis=1)]
+        if guess is not None and len(near) == len(guess) and np.array_equal(near.commands, guess.commands):
+            return near, guess
+        nominal = robot.forward(near.commands, on_failure="nan")
+        if np.mean(nominal.solved) >= _MOST_REACHED:
+            return near[nominal.solved], nominal[nominal.solved]
+    raise UnreachablePoseError("the commands are out of reach")
+
+
+def _misfit(measurements: Measurements, nominal: Poses, eta: float) -> float:
+    """Return the tip error of the machine as described against the measurements, 75th percentile over the rows [m].
+
+    Not the median: a mistake may affect less than half of the rows.
+    """
+    if measurements.registration is not None:
+        measurements = measurements.in_axes(measurements.registered_at(nominal, eta))
+    return float(np.quantile(measurements.tip_misfits(nominal, eta), 0.75))
 
 
 def _possible_error(errors: GeometricErrors, measurements: Measurements, eta: float, prior: float) -> float:

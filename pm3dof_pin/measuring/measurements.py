@@ -238,10 +238,10 @@ class Measurements:
     def visit_numbers(self) -> Indices:
         """Visit number of each row, counted from 0 in order of appearance; a visit is one stay at a pose.
 
-        Rows at the same commands, temperatures and loads are one visit until a target is repeated.
+        Rows at the same commands, temperatures and loads are one visit until an observation is repeated.
         """
         keys = np.column_stack([self.pose_numbers, *self.conditions.values()])
-        place = np.column_stack([_numbered(keys), self.target_numbers]).astype(float)
+        place = np.column_stack([_numbered(keys), self.observation_numbers]).astype(float)
         again = np.zeros(len(self))
         count: dict[tuple[float, ...], int] = {}
         for row, key in enumerate(map(tuple, place.tolist())):
@@ -252,6 +252,16 @@ class Measurements:
     def target_numbers(self) -> Indices:
         """Target number of each row, counted from 0 in order of appearance; rows with the same `points` share it."""
         return _numbered(self.points)
+
+    @cached_property
+    def observation_numbers(self) -> Indices:
+        """Number of what each row observes: coordinates of a target, or its distance from some point."""
+        keys = [self.target_numbers[:, None], self.seen[:, : self.tool_columns]]
+        if self.distances is not None and self.origins is not None and self.partners is not None:
+            far, begun = np.isfinite(self.distances), self.partners >= 0
+            starts = np.where(begun, self.pose_numbers[self.partners], -1)
+            keys += [far[:, None], np.where((far & ~begun)[:, None], self.origins, 0.0), starts[:, None]]
+        return _numbered(np.hstack(keys).astype(float))
 
     def in_moved_base(self, twist: Array) -> Measurements:
         """Return the measurements in the axes of a base at [translation; rotation vector] in this one, shape=(6,).
