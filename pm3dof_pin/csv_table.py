@@ -8,7 +8,6 @@ of their names, `x_mm` or `rz_deg`.
 from __future__ import annotations
 
 import csv
-import io
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pm3dof_pin.exceptions import DescriptionError, MeasurementError, lines_in_words
-from pm3dof_pin.files import read_text
+from pm3dof_pin.files import csv_text, read_text, without_apostrophe
 from pm3dof_pin.typing import Array, Mask
 
 logger = logging.getLogger(__name__)
@@ -71,7 +70,9 @@ class CsvTable:
         self.lines: list[int] = []
         rows = []
         try:
-            headings = [name.strip() for name in next((cells for cells in reader if any(cells)), [])]
+            headings = [
+                without_apostrophe(name.strip()) for name in next((cells for cells in reader if any(cells)), [])
+            ]
             self.header, factors = self._in_si(headings)
             self._check_header(needed, max(reader.line_num, 1))
             for cells in reader:
@@ -193,9 +194,4 @@ def columns_as_text(columns: Mapping[str, Array]) -> str:
     Args:
         columns: by name, shape=(n,) each.
     """
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    rows = np.column_stack(list(columns.values())).tolist()
-    writer.writerows(["" if number != number else repr(number) for number in row] for row in rows)
-    return text.getvalue()
+    return csv_text([list(columns), *np.column_stack(list(columns.values())).tolist()])

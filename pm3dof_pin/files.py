@@ -1,19 +1,24 @@
-"""Reading files of moderate size; writing files atomically."""
+"""Reading files of moderate size; writing files atomically, tables as CSV."""
 
 from __future__ import annotations
 
+import csv
 import glob
+import io
 import os
 import re
 import shutil
 import socket
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from pm3dof_pin.exceptions import DescriptionError, OutputError
+
+_FORMULA_STARTS = frozenset("=+-@\t\r")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)")
 
 MOST_BYTES = 64 * 2**20
 """Largest file that is read."""
@@ -75,6 +80,27 @@ def write_text_atomically(path: Path | str, text: str) -> Path:
     with write_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(path)
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows as CSV; an empty cell for NaN.
+
+    A word that a spreadsheet would take for a formula has an apostrophe before it, as :func:`without_apostrophe` reads.
+    """
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows([_csv_cell(cell) for cell in row] for row in rows)
+    return text.getvalue()
+
+
+def without_apostrophe(cell: str) -> str:
+    """Return a cell as :func:`csv_text` was given it."""
+    return cell[1:] if cell[:1] == "'" and cell[1:2] in _FORMULA_STARTS else cell
+
+
+def _csv_cell(cell: object) -> object:
+    if isinstance(cell, str) and cell[:1] in _FORMULA_STARTS and not _NUMBER.fullmatch(cell):
+        return f"'{cell}"
+    return "" if cell != cell else cell
 
 
 @contextmanager

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 from pathlib import Path
 
 from pm3dof_pin.cli.output import table_lines
 from pm3dof_pin.description.parameters import TripodParameters
-from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.files import csv_text, write_text_atomically
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 SECTIONS = {"8.1": ("geometry", "joints"), "8.2": ("inertia",)}
@@ -28,10 +26,8 @@ def main(out: Path = RESULTS) -> None:
                 rows.append([name, quantity.symbol, value, quantity.unit, quantity.status, quantity.source])
         print(f"\nTable {table}")
         print("\n".join(table_lines(HEADER[:5], [row[:5] for row in rows])))
-        text = io.StringIO(newline="")
-        csv.writer(text, lineterminator="\n").writerows([HEADER, *rows])
         path = out / f"table_{table.replace('.', '_')}.csv"
-        print(f"wrote {write_text_atomically(path, text.getvalue())}")
+        print(f"wrote {write_text_atomically(path, csv_text([HEADER, *rows]))}")
 
 
 if __name__ == "__main__":

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 from pathlib import Path
 
 from pm3dof_pin.chapter.table_8_3 import table_8_3
 from pm3dof_pin.cli.table import described
-from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.robot import load
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
@@ -19,11 +17,8 @@ def main(out: Path = RESULTS, engine: str = "program") -> None:
     rows = table_8_3(robot=load("pm3dof") if engine == "pinocchio" else None)
     data, lines = described(rows)
     print("\n".join(lines))
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(data["rows"][0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(data["rows"])
-    print(f"wrote {write_text_atomically(out / 'table_8_3.csv', text.getvalue())}")
+    cells = [list(data["rows"][0]), *(row.values() for row in data["rows"])]
+    print(f"wrote {write_text_atomically(out / 'table_8_3.csv', csv_text(cells))}")
 
 
 if __name__ == "__main__":

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.cli.output import table_lines
 from pm3dof_pin.errors.error_budget import budget_as_data, error_budget
 from pm3dof_pin.errors.source_errors import ErrorSources
-from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.files import csv_text, write_text_atomically
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 COLUMNS = ("tip_rms_m", "greatest_tip_rms_m", "left_m", "energy_m")
@@ -28,11 +26,8 @@ def main(out: Path = RESULTS, poses: int = 200) -> None:
     ]
     header = ["class", "source [um]", "tip, rms", "worst pose", "left by commands", "E of (8.15)"]
     print("\n".join(table_lines(header, rows)))
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(lines[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
-    print(f"wrote {write_text_atomically(out / 'table_8_4.csv', text.getvalue())}")
+    cells = [list(lines[0]), *(row.values() for row in lines)]
+    print(f"wrote {write_text_atomically(out / 'table_8_4.csv', csv_text(cells))}")
 
 
 if __name__ == "__main__":

@@ -213,13 +213,13 @@ def _plain(share: ParameterShare) -> dict[str, Any]:
 
 
 def _write_ranking(ranking: list[ParameterShare], path: Path) -> Path:
-    from pm3dof_pin.files import write_text_atomically
+    from pm3dof_pin.files import csv_text, write_text_atomically
 
-    rows = [
-        f"{share.name},{share.group},{share.tip_rms:.9g},{share.share:.9g},{share.uncompensable_share:.9g}"
-        for share in ranking
-    ]
-    return write_text_atomically(path, "\n".join(["parameter,class,tip_rms_m,share,uncompensable_share", *rows]) + "\n")
+    rows = [["parameter", "class", "tip_rms_m", "share", "uncompensable_share"]]
+    for share in ranking:
+        numbers = (share.tip_rms, share.share, share.uncompensable_share)
+        rows.append([share.name, share.group, *(f"{number:.9g}" for number in numbers)])
+    return write_text_atomically(path, csv_text(rows))
 
 
 def _lines(result: dict[str, Any], place: str) -> list[str]:

@@ -188,6 +188,7 @@ def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
 
 def _table(found: WorkspaceEvaluation) -> str:
     """Return the distributions as CSV."""
+    from pm3dof_pin.files import csv_text
 
     def ends(entry: Distribution) -> list[str]:
         return [f"{value:.12g}" for place in (entry.least_at, entry.greatest_at) for value in place.values()]
@@ -198,8 +199,8 @@ def _table(found: WorkspaceEvaluation) -> str:
     lines = [["quantity", "unit", "mean", "standard_deviation", "least", "greatest", *at]]
     for entry in found.distributions:
         numbers = (entry.mean, entry.standard_deviation, entry.least, entry.greatest)
-        lines.append([entry.label, f'"{entry.unit}"', *(f"{value:.12g}" for value in numbers), *ends(entry)])
-    return "".join(",".join(line) + "\n" for line in lines)
+        lines.append([entry.label, entry.unit, *(f"{value:.12g}" for value in numbers), *ends(entry)])
+    return csv_text(lines)
 
 
 def _draw(mapped: MappedRobot, grid: Grid, out: Path, formats: list[PictureFormat] | None) -> list[Path]:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.files import read_text
+from pm3dof_pin.files import csv_text, read_text, without_apostrophe
 from pm3dof_pin.typing import Array, Matrix
 
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -65,7 +65,7 @@ class PoseFile:
         if not lines:
             raise DescriptionError(path, "file", f"is empty, expected a header such as {_example_heading(coordinates)}")
         try:
-            rows = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in lines)]
+            rows = [[without_apostrophe(cell.strip()) for cell in row] for row in csv.reader(line for _, line in lines)]
         except csv.Error as error:
             raise DescriptionError(path, "file", f"expected CSV ({error})") from error
         heading = rows[0]
@@ -135,7 +135,7 @@ def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
         [entry if isinstance(entry, str) else f"{entry:.12g}" for entry in np.asarray(values).tolist()]
         for values in columns.values()
     ]
-    return "".join(f"{','.join(row)}\n" for row in [tuple(columns), *zip(*cells, strict=True)])
+    return csv_text([tuple(columns), *zip(*cells, strict=True)])
 
 
 def _require_known(path: Path, heading: Sequence[str], coordinates: Sequence[Coordinate], known: Sequence[str]) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pm3dof_pin.exceptions import OutputError
-from pm3dof_pin.files import write_atomically, write_text_atomically
+from pm3dof_pin.files import csv_text, write_atomically, write_text_atomically
 from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.typing import Array
 
@@ -76,11 +74,7 @@ def write_csv(dataset: Map, path: Path | str) -> Path:
         OutputError: the file cannot be written; no partial file is left.
     """
     columns = dict(_columns(dataset))
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
-    return write_text_atomically(path, text.getvalue())
+    return write_text_atomically(path, csv_text([columns, *zip(*columns.values(), strict=True)]))
 
 
 def _columns(dataset: Map) -> Iterator[tuple[str, list[str]]]:

@@ -17,6 +17,7 @@ import numpy as np
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.command_columns import command_columns, start_columns
 
@@ -55,7 +56,7 @@ def measured(
             length = np.linalg.norm(printed[k + 1] - printed[k]) + rng.normal(0.0, caliper)
             rows.append([*marks[k + 1].tolist(), "", "", length, caliper, *marks[k].tolist()])
     header = [*command_columns(robot), "z_m", "sigma_z_m", "distance_m", "sigma_distance_m", *start_columns(robot)]
-    path.write_text("\n".join(",".join(map(str, row)) for row in [header, *rows]) + "\n")
+    write_text_atomically(path, csv_text([header, *rows]))
     return pm.read_measurements(path, robot)
 
 

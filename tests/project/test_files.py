@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import csv
+import io
 import os
 import signal
 import subprocess
@@ -11,7 +14,14 @@ from pathlib import Path
 import pytest
 
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.files import read_bytes, replace_directory, write_atomically, write_text_atomically
+from pm3dof_pin.files import (
+    csv_text,
+    read_bytes,
+    replace_directory,
+    without_apostrophe,
+    write_atomically,
+    write_text_atomically,
+)
 from pm3dof_pin.kinematics.robot import Robot
 
 KILLED = """
@@ -81,3 +91,28 @@ def test_what_is_no_ordinary_file_is_refused_at_once(kind: str, tmp_path: Path) 
 def test_names_that_no_file_can_have_are_refused(name: str) -> None:
     with pytest.raises(DescriptionError, match="expected a readable file"):
         read_bytes(name)
+
+
+def test_csv_has_no_formulas_and_is_read_as_it_was_written() -> None:
+    """Of Excel and LibreOffice: a cell that begins with =, +, - or @ is computed, unless it is a number."""
+    cells = [
+        "=HYPERLINK(1)",
+        "+cmd",
+        "-a",
+        "@sum",
+        "\ttab",
+        "-0.5",
+        "+1e-3",
+        "-inf",
+        "a,b",
+        'say "x"',
+        "two\nlines",
+        "it's",
+    ]
+    (read,) = csv.reader(io.StringIO(csv_text([[*cells, float("nan"), 0.1, -2]]), newline=""))
+    assert [without_apostrophe(cell) for cell in read] == [*cells, "", "0.1", "-2"]
+    for cell in read:
+        with contextlib.suppress(ValueError):
+            float(cell)
+            continue
+        assert cell[:1] not in {"=", "+", "-", "@", "\t"}
