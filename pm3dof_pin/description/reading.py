@@ -13,6 +13,7 @@ from pm3dof_pin.description.closures import ClosuresFile, read_closures
 from pm3dof_pin.description.description import Body, Description, Frame, Joint, universal_hinges
 from pm3dof_pin.description.origin import Origin
 from pm3dof_pin.description.physical_bounds import ANY, parse_numbers
+from pm3dof_pin.description.readers.mjcf import read_mjcf
 from pm3dof_pin.description.readers.urdf import read_urdf
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.description.xml_file import children, read_xml
@@ -48,7 +49,13 @@ def _read_urdf(files: RobotFiles, lenient: bool) -> Description:
     return read_urdf(read_xml(files.path), lenient=lenient)
 
 
-READERS: Mapping[str, Callable[[RobotFiles, bool], Description]] = MappingProxyType({"urdf": _read_urdf})
+def _read_mjcf(files: RobotFiles, lenient: bool) -> Description:
+    return read_mjcf(files.path, files.own_folders, lenient=lenient)
+
+
+READERS: Mapping[str, Callable[[RobotFiles, bool], Description]] = MappingProxyType(
+    {"urdf": _read_urdf, "mjcf": _read_mjcf}
+)
 """Readers of the tree, by dialect."""
 
 

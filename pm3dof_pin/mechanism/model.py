@@ -1,7 +1,8 @@
 """Pinocchio's model of a described robot, made joint by joint.
 
 Bodies that fixed joints connect become one, as in Pinocchio's own readers; all bodies, joints and frames keep their
-names as frames of the model. Children of a body follow in the order of their joints' names, like there.
+names as frames of the model. Children of a body follow in the order of their joints' names if the robot was read from a
+URDF, as urdfdom has it, otherwise in the order of the description.
 """
 
 from __future__ import annotations
@@ -62,8 +63,9 @@ class _Builder:
             pending += self._children(joint.child)
 
     def _children(self, body: str) -> list[Joint]:
-        """Return the joints that a body carries, the first in order of their names last."""
-        return sorted(self.description.joints_below[body], key=lambda joint: joint.name, reverse=True)
+        """Return the joints that a body carries, the first last."""
+        joints = self.description.joints_below[body]
+        return (sorted(joints, key=_name) if self.description.dialect == "urdf" else list(joints))[::-1]
 
     def _add(self, joint: Joint) -> None:
         model = self.model
@@ -84,6 +86,10 @@ class _Builder:
             if inertia is not None:
                 model.appendBodyToJoint(carrier, inertia, inner)
         self.places[joint.child] = (carrier, inner, model.addBodyFrame(joint.child, carrier, inner, frame))
+
+
+def _name(joint: Joint) -> str:
+    return joint.name
 
 
 def joint_model(joint: Joint) -> pin.JointModel:

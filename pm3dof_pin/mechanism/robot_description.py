@@ -14,12 +14,10 @@ from typing import Any
 import pinocchio as pin
 
 from pm3dof_pin.description import reading
-from pm3dof_pin.description.closures import ClosuresFile, read_closures
 from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.robots import RobotFiles, find_robot
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.model import UNLIMITED, build_model
-from pm3dof_pin.mechanism.model_files import read_named_configurations
 
 _logger = logging.getLogger(__name__)
 
@@ -70,26 +68,8 @@ def read_description(files: RobotFiles, tool_frame: str | None = None, *, lenien
     `tool_frame` replaces the tool frame of the description if given. Raises as
     :func:`~pm3dof_pin.description.reading.read_description`.
     """
-    if files.format == "mjcf":
-        return _read_mjcf(files, tool_frame)
     description = reading.read_description(files, lenient=lenient)
     return arguments_of(replace(description, tool_frame=tool_frame or description.tool_frame))
-
-
-def _read_mjcf(files: RobotFiles, tool_frame: str | None) -> dict[str, Any]:
-    from pm3dof_pin.mechanism.mjcf_model import read_mjcf_model  # few robots need it
-
-    closures_file = read_closures(files.closures) if files.closures is not None else ClosuresFile(files.path)
-    model, closures_file = read_mjcf_model(files, closures_file)
-    _free_joints_without_limits(model, closures_file.actuated_joints, files.path)
-    if files.srdf is not None:
-        read_named_configurations(model, files.srdf)
-    arguments = vars(closures_file) | {
-        "tool_frame": tool_frame or closures_file.tool_frame,
-        "model": model,
-        "files": files,
-    }
-    return {name: value for name, value in arguments.items() if name not in ("path", "joint_types")}
 
 
 def arguments_of(description: Description) -> dict[str, Any]:

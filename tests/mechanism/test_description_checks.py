@@ -134,7 +134,7 @@ def test_an_mjcf_of_no_machine_is_refused(tmp_path: Path, old: str, new: str, pl
     path.write_text(MJCF, encoding="utf-8")
     assert Robot.load(path).model.inertias[1].mass == 2.0
     path.write_text(MJCF.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(DescriptionError, match=f"{path}: {place}"):
+    with pytest.raises(DescriptionError, match=rf"{path}, line \d: {place}"):
         Robot.load(path)
 
 

@@ -144,14 +144,14 @@ def test_a_walker_with_universal_ankles(tmp_path: Path) -> None:
     assert np.isinf(floating.upper_limits[:7]).all()
 
 
-def test_what_pinocchio_does_not_take(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_drives_springs_couplings_and_keyframes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         robot, model = _load(tmp_path, SEVERAL_BODIES)
     assert [(command.name, command.joint, command.unit) for command in robot.commands] == [
         ("lift", "slide", "m"),
         ("turn", "turn", "rad"),
     ]
-    assert "equality 'geared', a <joint>, is ignored" in caplog.text
+    assert [(c.joint, c.joints, c.coefficients) for c in robot.couplings] == [("turn", ("swing",), ((1.0,),))]
     assert "actuator 'thrust' drives no joint" in caplog.text
     assert {(spring["joint"], spring["stiffness"], spring["unit"]) for spring in robot.springs} == {
         ("turn", 5.0, "N m/rad"),
@@ -168,7 +168,7 @@ def test_what_pinocchio_does_not_take(tmp_path: Path, caplog: pytest.LogCaptureF
 
 @pytest.mark.parametrize("angle", ["degree", "radian"])
 def test_limits_are_mujocos(tmp_path: Path, angle: str) -> None:
-    """Pinocchio shifts ranges by `ref`, and reads those of slides as degrees."""
+    """Not shifted by `ref`, and those of slides are never degrees, unlike in Pinocchio's reader."""
     text = f"""<mujoco><compiler angle="{angle}"/>
     <default><default class="long"><joint type="slide" range="-0.1 0.8"/></default></default>
     <worldbody><body name="a"><joint name="s" class="long" axis="1 0 0" ref="0.5"/><geom size="0.1" mass="1"/>
@@ -250,17 +250,18 @@ def test_sections_in_any_order_and_number(tmp_path: Path, caplog: pytest.LogCapt
     assert "the ranges of ball joints are ignored: ball" in caplog.text
 
 
-def test_masses_that_pinocchio_makes_up_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    triangle = "0 0 0 1 0 0 0 1 0 0 0 1"
-    text = (
-        f'<mujoco><asset><mesh name="m" vertex="{triangle}"/></asset><worldbody>'
-        '<body name="guessed"><joint/><geom type="mesh" mesh="m"/></body>'
+def test_masses_of_meshes_whose_files_are_missing_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(
+        '<mujoco><asset><mesh name="m" file="gone.stl"/></asset><worldbody>'
+        '<body name="unknown"><joint/><geom type="mesh" mesh="m"/></body>'
         '<body name="given"><joint/><inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/><geom mesh="m" type="mesh"/>'
-        "</body></worldbody></mujoco>"
+        "</body></worldbody></mujoco>",
+        encoding="utf-8",
     )
     with caplog.at_level(logging.WARNING):
-        _load(tmp_path, text)
-    assert "1 kg for each of guessed; give" in caplog.text
+        assert Robot.load(path).model.inertias[2].mass == 3.0
+    assert "their files are missing; give <inertial>: unknown" in caplog.text
 
 
 def test_inertias_are_mujocos(tmp_path: Path) -> None:
@@ -294,7 +295,11 @@ def test_the_closures_file_beside_it_goes_first(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "error", "said"),
     [
-        ("<mujoco><worldbody><replicate/></worldbody></mujoco>", DescriptionError, "<replicate>: is not supported"),
+        (
+            "<mujoco><worldbody><flexcomp/></worldbody></mujoco>",
+            DescriptionError,
+            "line 1: <flexcomp>: is not supported",
+        ),
         (
             SEVERAL_BODIES.replace('stiffness="5"', 'stiffness="soft"'),
             DescriptionError,
@@ -307,7 +312,11 @@ def test_the_closures_file_beside_it_goes_first(tmp_path: Path) -> None:
             JointNotFoundError,
             "<actuator>.*'ghost'",
         ),
-        (SEVERAL_BODIES.replace('type="slide"', 'type="screw"'), DescriptionError, r"reads \([^/:]*\)"),
+        (
+            SEVERAL_BODIES.replace('type="slide"', 'type="screw"'),
+            DescriptionError,
+            "'slide'>: expected a hinge, .*'screw'",
+        ),
         (SEVERAL_BODIES.replace("<geom", '<geom class="ghost"', 1), DescriptionError, "no default class 'ghost'"),
         ("<mujoco><include file='ghost.xml'/></mujoco>", DescriptionError, r"ghost\.xml: file: expected a readable"),
     ],
@@ -322,5 +331,5 @@ def test_what_is_not_read_is_named(tmp_path: Path, text: str, error: type[Except
 def test_a_shape_without_size_has_no_inertia(tmp_path: Path) -> None:
     path = tmp_path / "walker.xml"
     path.write_text(STANDING.replace('type="capsule" size="0.03"', 'type="capsule" size="0"', 1), encoding="utf-8")
-    with pytest.raises(DescriptionError, match="its inertia is not a number"):
+    with pytest.raises(DescriptionError, match="a capsule without size has no inertia"):
         Robot.load(path)
