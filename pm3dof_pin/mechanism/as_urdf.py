@@ -31,7 +31,7 @@ from pm3dof_pin.description.robots import CLOSURES_SUFFIX, RobotFiles
 from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.mechanism.visuals import read_visuals
+from pm3dof_pin.mechanism.visuals import Visual, read_visuals
 from pm3dof_pin.typing import Matrix, Vector
 
 NEGLIGIBLE_MASS = 1e-5
@@ -223,35 +223,38 @@ def _shapes(mechanism: Mechanism, files: RobotFiles) -> dict[int, list[ElementTr
     """The visual elements, by joint; shapes that URDF does not have are omitted."""
     shapes: dict[int, list[ElementTree.Element]] = {}
     try:
-        visuals = read_visuals(mechanism.model, files)
+        visuals = [] if mechanism.description is None else read_visuals(mechanism.description)
     except DescriptionError as error:
         _logger.warning("%s: its shapes are omitted", error)
         return shapes
-    for shape in visuals.geometryObjects:
-        for tag, sizes, offset in _primitives(shape):
+    for each in visuals:
+        frame = mechanism.model.frames[mechanism.frame_id(each.body)]
+        for tag, sizes, offset in _primitives(each):
             visual = ElementTree.Element("visual")
-            _add_origin(visual, shape.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, offset])))
+            placement = frame.placement * each.shape.placement.se3
+            _add_origin(visual, placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, offset])))
             ElementTree.SubElement(ElementTree.SubElement(visual, "geometry"), tag, sizes)
-            material = ElementTree.SubElement(visual, "material", name=f"{shape.name}_colour")
-            ElementTree.SubElement(material, "color", rgba=_text(np.asarray(shape.meshColor)))
-            shapes.setdefault(shape.parentJoint, []).append(visual)
+            if each.shape.colour is not None:
+                material = ElementTree.SubElement(visual, "material", name=f"{each.shape.name}_colour")
+                ElementTree.SubElement(material, "color", rgba=_text(np.asarray(each.shape.colour)))
+            shapes.setdefault(frame.parentJoint, []).append(visual)
     return shapes
 
 
-def _primitives(shape: Any) -> Iterator[tuple[str, dict[str, str], float]]:
+def _primitives(visual: Visual) -> Iterator[tuple[str, dict[str, str], float]]:
     """Yield the URDF shapes that a shape consists of: tag, sizes, and offset along its z axis."""
-    geometry, kind = shape.geometry, type(shape.geometry).__name__
-    if hasattr(geometry, "num_tris"):
-        yield "mesh", {"filename": str(shape.meshPath), "scale": _text(np.asarray(shape.meshScale))}, 0.0
-    elif kind == "Box":
-        yield "box", {"size": _text(2.0 * np.asarray(geometry.halfSide))}, 0.0
-    elif kind == "Sphere":
-        yield "sphere", {"radius": repr(float(geometry.radius))}, 0.0
-    elif kind in ("Cylinder", "Capsule"):
-        radius, half = repr(float(geometry.radius)), float(geometry.halfLength)
-        yield "cylinder", {"radius": radius, "length": repr(2.0 * half)}, 0.0
-        if kind == "Capsule":
-            yield from (("sphere", {"radius": radius}, end) for end in (-half, half))
+    shape = visual.shape
+    if shape.kind == "mesh":
+        yield "mesh", {"filename": str(visual.path), "scale": _text(shape.sizes)}, 0.0
+    elif shape.kind == "box":
+        yield "box", {"size": _text(shape.sizes)}, 0.0
+    elif shape.kind == "sphere":
+        yield "sphere", {"radius": repr(shape.sizes[0])}, 0.0
+    elif shape.kind in ("cylinder", "capsule"):
+        radius, length = shape.sizes
+        yield "cylinder", {"radius": repr(radius), "length": repr(length)}, 0.0
+        if shape.kind == "capsule":
+            yield from (("sphere", {"radius": repr(radius)}, end) for end in (-0.5 * length, 0.5 * length))
 
 
 # The other files

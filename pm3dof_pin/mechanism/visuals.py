@@ -1,43 +1,72 @@
-"""The visual geometry of a robot: shapes and meshes on the frames of its model."""
+"""The visual geometry of a robot: shapes and mesh files on the frames of its model."""
 
 from __future__ import annotations
 
-import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pinocchio as pin
 
+from pm3dof_pin.description.description import Description, Placement, Shape, ShapeKind
 from pm3dof_pin.description.mesh_files import find_mesh
-from pm3dof_pin.description.mjcf import read_mjcf
-from pm3dof_pin.description.own_files import require_own
-from pm3dof_pin.description.robots import RobotFiles
-from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.mechanism.parser_messages import parser_messages
 
 
-def read_visuals(model: pin.Model, files: RobotFiles) -> pin.GeometryModel:
-    """Read the visual geometry of a model's files; `package://x/y` is the file `x/y` in one of their package paths.
+@dataclass(frozen=True)
+class Visual:
+    """A shape on a body; `path` is the file of a mesh."""
+
+    body: str
+    shape: Shape
+    path: Path | None = None
+
+
+def read_visuals(description: Description) -> list[Visual]:
+    """Return the visual shapes of a robot, with the files of its meshes.
+
+    Shapes without a name get that of their body with a number.
 
     Raises:
-        DescriptionError: a shape or mesh cannot be read, or a mesh lies outside the folders of the robot, see
+        DescriptionError: a mesh is missing, or lies outside the folders of the robot, see
             :func:`~pm3dof_pin.description.mesh_files.find_mesh`.
     """
-    if files.format == "urdf":
-        for name in {mesh.get("filename", "") for mesh in read_xml(files.path).iterfind("link/visual/geometry/mesh")}:
-            find_mesh(files, name)
-    try:
-        if files.format == "urdf":
-            packages = [str(path) for path in files.package_paths]
-            with parser_messages():
-                return pin.buildGeomFromUrdf(model, str(files.path), pin.GeometryType.VISUAL, package_dirs=packages)
-        with tempfile.TemporaryDirectory(prefix="pm3dof_") as folder:
-            copy = Path(folder) / "model.xml"
-            copy.write_text(read_mjcf(files.path, files.own_folders).text, encoding="utf-8")
-            shapes = pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.VISUAL)
-    except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise DescriptionError(files.path, "visual", f"expected readable shapes and meshes ({reason})") from error
-    for path in {str(shape.meshPath) for shape in shapes.geometryObjects if Path(str(shape.meshPath)).is_file()}:
-        require_own(Path(path), files.own_folders, files.path, "mesh")
-    return shapes
+    visuals = []
+    for body in description.bodies:
+        for number, shape in enumerate(body.visuals):
+            path = None
+            if shape.kind == "mesh":
+                if description.files is None:
+                    raise DescriptionError(description.name, f"mesh '{shape.mesh}'", "expected the robot's files")
+                path = find_mesh(description.files, shape.mesh)
+            visuals.append(Visual(body.name, replace(shape, name=f"{body.name}_{number}"), path))
+    return visuals
+
+
+def visuals_of_geometry(model: pin.Model, geometry: pin.GeometryModel) -> Iterator[Visual]:
+    """Yield the shapes of a geometry model of Pinocchio that can be described."""
+    for shape in geometry.geometryObjects:
+        frame = model.frames[shape.parentFrame]
+        placement = Placement.from_se3(frame.placement.actInv(shape.placement))
+        solid, kind = shape.geometry, type(shape.geometry).__name__
+        colour = tuple(float(part) for part in shape.meshColor)
+        described: Shape | None = None
+        if hasattr(solid, "num_tris"):
+            scale = tuple(float(part) for part in shape.meshScale)
+            colours = colour if shape.overrideMaterial else None
+            described = Shape("mesh", scale, placement, shape.name, str(shape.meshPath), colours)
+        elif kind == "Box":
+            sizes = tuple(float(2.0 * half) for half in solid.halfSide)
+            described = Shape("box", sizes, placement, shape.name, colour=colour)
+        elif kind == "Sphere":
+            described = Shape("sphere", (float(solid.radius),), placement, shape.name, colour=colour)
+        elif kind == "Ellipsoid":
+            radii = tuple(float(radius) for radius in np.asarray(solid.radii))
+            described = Shape("ellipsoid", radii, placement, shape.name, colour=colour)
+        elif kind in ("Cylinder", "Capsule"):
+            sizes = float(solid.radius), float(2.0 * solid.halfLength)
+            form: ShapeKind = "cylinder" if kind == "Cylinder" else "capsule"
+            described = Shape(form, sizes, placement, shape.name, colour=colour)
+        if described is not None:
+            yield Visual(frame.name, described, Path(described.mesh) if described.mesh else None)

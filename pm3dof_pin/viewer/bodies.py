@@ -6,18 +6,20 @@ import logging
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.description.description import Shape
 from pm3dof_pin.description.mesh_files import read_meshes
+from pm3dof_pin.description.reading import read_description
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.mechanism.visuals import read_visuals
+from pm3dof_pin.mechanism.visuals import Visual, read_visuals, visuals_of_geometry
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.objects import Colour
@@ -82,9 +84,12 @@ class Bodies(tuple[Body, ...]):
         Raises:
             DescriptionError: a file given as `visuals` is unreadable, or one of its meshes is missing.
         """
-        geometry = visuals if isinstance(visuals, pin.GeometryModel) else _geometry(mechanism, visuals)
-        if geometry is not None and geometry.ngeoms:
-            return cls(_drawn_bodies(mechanism, geometry))
+        if isinstance(visuals, pin.GeometryModel):
+            shapes = list(visuals_of_geometry(mechanism.model, visuals))
+        else:
+            shapes = _visuals(mechanism, visuals)
+        if shapes:
+            return cls(_drawn_bodies(mechanism, shapes))
         return cls(_stick_figure(mechanism))
 
     def placements(self, configuration: Configuration) -> dict[str, Array]:
@@ -120,73 +125,72 @@ def joint_placements(configuration: Configuration) -> list[Array]:
     return [np.array(placement.homogeneous) for placement in data.oMi]
 
 
-def _geometry(mechanism: Mechanism, urdf: Path | str | None) -> pin.GeometryModel | None:
+def _visuals(mechanism: Mechanism, urdf: Path | str | None) -> list[Visual]:
     if urdf is not None:
-        return read_visuals(mechanism.model, find_robot(urdf))
-    if mechanism.files is None:
-        return None
+        return read_visuals(read_description(find_robot(urdf)))
+    if mechanism.description is None:
+        return []
     try:
-        return read_visuals(mechanism.model, mechanism.files)
+        return read_visuals(mechanism.description)
     except DescriptionError as error:
         _logger.warning("%s: drawn as a stick figure; give the folders of packages with --package-path", error)
-        return None
+        return []
 
 
-def _drawn_bodies(mechanism: Mechanism, geometry: pin.GeometryModel) -> tuple[Body, ...]:
-    bodies: dict[int, Body] = {}
-    for shape in geometry.geometryObjects:
-        frame_id = shape.parentFrame
-        if frame_id not in bodies:
-            frame = mechanism.model.frames[frame_id]
-            bodies[frame_id] = Body(frame.name, frame.parentJoint, np.array(frame.placement.homogeneous))
-        body = bodies[frame_id]
-        in_body = np.linalg.inv(body.placement) @ shape.placement.homogeneous
-        body.parts.extend(_mesh_parts(shape, in_body) if hasattr(shape.geometry, "num_tris") else _part(shape, in_body))
+def _drawn_bodies(mechanism: Mechanism, visuals: list[Visual]) -> tuple[Body, ...]:
+    bodies: dict[str, Body] = {}
+    for visual in visuals:
+        if visual.body not in bodies:
+            frame = mechanism.model.frames[mechanism.frame_id(visual.body)]
+            bodies[visual.body] = Body(frame.name, frame.parentJoint, np.array(frame.placement.homogeneous))
+        placement = np.array(visual.shape.placement.se3.homogeneous)
+        parts = _part(visual.shape, placement) if visual.path is None else _mesh_parts(visual, placement)
+        bodies[visual.body].parts.extend(parts)
     return tuple(bodies.values())
 
 
-def _part(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
-    """Return a box, cylinder, sphere, ellipsoid or capsule; empty for other shapes."""
-    kind, geometry, turn = type(shape.geometry).__name__, shape.geometry, np.eye(4)
-    if kind == "Box":
-        drawn = [(objects.box(2.0 * np.array(geometry.halfSide)), turn)]
-    elif kind == "Cylinder":
-        drawn = [(objects.cylinder(geometry.radius, 2.0 * geometry.halfLength), objects.Y_TO_Z)]
-    elif kind == "Sphere":
-        drawn = [(objects.sphere(geometry.radius), turn)]
-    elif kind == "Ellipsoid":
-        drawn = [(objects.sphere(1.0), np.diag([*geometry.radii, 1.0]))]
-    elif kind == "Capsule":
-        ends = [objects.transform(translation=[0.0, 0.0, side * geometry.halfLength]) for side in (-1.0, 1.0)]
-        drawn = [(objects.cylinder(geometry.radius, 2.0 * geometry.halfLength), objects.Y_TO_Z)]
-        drawn += [(objects.sphere(geometry.radius), end) for end in ends]
-    else:
-        _logger.warning("%s is not drawn: shapes of type %s are not supported", shape.name, kind)
-        return []
-    geometry.computeLocalAABB()
-    box = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
-    colour = _colour(shape.meshColor)
+def _part(shape: Shape, placement: Array) -> list[_Part]:
+    """Return a box, cylinder, sphere, ellipsoid or capsule."""
+    turn, sizes = np.eye(4), shape.sizes
+    match shape.kind:
+        case "box":
+            drawn, half = [(objects.box(np.array(sizes)), turn)], 0.5 * np.array(sizes)
+        case "sphere":
+            drawn, half = [(objects.sphere(sizes[0]), turn)], np.full(3, sizes[0])
+        case "ellipsoid":
+            drawn, half = [(objects.sphere(1.0), np.diag([*sizes, 1.0]))], np.array(sizes)
+        case "cylinder":
+            drawn = [(objects.cylinder(*sizes), objects.Y_TO_Z)]
+            half = np.array([sizes[0], sizes[0], 0.5 * sizes[1]])
+        case "capsule":
+            ends = [objects.transform(translation=[0.0, 0.0, side * sizes[1]]) for side in (-0.5, 0.5)]
+            drawn = [(objects.cylinder(*sizes), objects.Y_TO_Z)]
+            drawn += [(objects.sphere(sizes[0]), end) for end in ends]
+            half = np.array([sizes[0], sizes[0], 0.5 * sizes[1] + sizes[0]])
+        case "mesh":
+            return []
+        case _:
+            assert_never(shape.kind)
+    colour = _colour(shape.colour or _GREY)
     return [
         _Part(
             f"{_name(shape)}_{number}" if number else _name(shape),
             objects.mesh(lowered, colour[:3], opacity=colour[3]),
             placement @ turn,
             colour,
-            _corners(box, placement),
+            _corners(np.array([-half, half]), placement),
         )
         for number, (lowered, turn) in enumerate(drawn)
     ]
 
 
-def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
-    """Return the meshes of a file, in their own colours unless the URDF gives one.
-
-    The file is read again: Pinocchio drops colours, and reads wrong triangles from some Collada files.
-    """
-    parts = []
-    for number, mesh in enumerate(read_meshes(shape.meshPath)):
-        vertices = np.asarray(mesh.vertices) * np.array(shape.meshScale)
-        colour = _colour(shape.meshColor) if shape.overrideMaterial else _own_colour(mesh)
+def _mesh_parts(visual: Visual, placement: Array) -> list[_Part]:
+    """Return the meshes of a file, in their own colours unless the description gives one."""
+    shape, parts = visual.shape, []
+    assert visual.path is not None
+    for number, mesh in enumerate(read_meshes(visual.path)):
+        vertices = np.asarray(mesh.vertices) * np.array(shape.sizes)
+        colour = _own_colour(mesh) if shape.colour is None else _colour(shape.colour)
         vertices, faces = _coarsened(vertices, mesh.faces)
         body = objects.mesh(objects.triangles(vertices, faces), colour[:3], opacity=colour[3])
         box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
@@ -221,8 +225,8 @@ def _colour(numbers: ArrayLike) -> tuple[float, float, float, float]:
     return red, green, blue, opacity
 
 
-def _name(shape: pin.GeometryObject) -> str:
-    return str(shape.name).replace("/", "_")
+def _name(shape: Shape) -> str:
+    return shape.name.replace("/", "_")
 
 
 def _corners(box: Array, placement: Array) -> Array:

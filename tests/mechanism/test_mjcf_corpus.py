@@ -81,7 +81,8 @@ CORPUS = {
     "from to": _arm(
         '<joint name="j"/><geom type="cylinder" size="0.1" fromto="0 0 0 1 2 3"/>'
         '<geom type="box" size="0.1 0.2" fromto="0 0 0 1 -2 3" density="3"/>'
-        '<geom type="ellipsoid" size="0.1 0.2" fromto="0 1 0 1 -2 3"/><geom type="capsule" size="0.1" fromto="0 0 0 0 0 -1"/>'
+        '<geom type="ellipsoid" size="0.1 0.2" fromto="0 1 0 1 -2 3"/>'
+        '<geom type="capsule" size="0.1" fromto="0 0 0 0 0 -1"/>'
     ),
     "replicate": '<mujoco><worldbody><body name="hub"><joint name="h"/><geom size="0.1"/>'
     '<replicate count="12" euler="0 0 30" offset="0.1 0 0.05" sep="-"><body name="b" pos="1 0 0"><joint name="j" '
@@ -93,7 +94,8 @@ CORPUS = {
     "<weld body1='s' body2='r' torquescale='0' anchor='0.1 0 0'/><connect active='false' body1='l' body2='s' "
     "anchor='0 0 0'/></equality></mujoco>",
     "weld by default": "<mujoco><default><default class='w'><equality active='false'/></default></default>"
-    f"{_TWO_BARS}<equality><weld class='w' body1='s'/><weld body1='s' relpose='0.1 0.2 0.3 0 1 0 0'/></equality></mujoco>",
+    f"{_TWO_BARS}<equality><weld class='w' body1='s'/><weld body1='s' relpose='0.1 0.2 0.3 0 1 0 0'/>"
+    "</equality></mujoco>",
 }
 
 
@@ -270,7 +272,8 @@ def test_masses_of_meshes_are_mujocos(tmp_path: Path, method: str, shape: str) -
 def test_models_are_attached_with_their_own_settings(tmp_path: Path) -> None:
     (tmp_path / "leg.xml").write_text(
         '<mujoco model="leg"><compiler angle="radian"/><default><joint axis="0 1 0" range="-1 1"/></default>'
-        '<worldbody><body name="thigh" euler="0.3 0 0"><joint name="hip"/><geom size="0.1"/><body name="shin" pos="0 0 -1">'
+        '<worldbody><body name="thigh" euler="0.3 0 0"><joint name="hip"/><geom size="0.1"/>'
+        '<body name="shin" pos="0 0 -1">'
         '<joint name="knee"/><geom size="0.1"/><site name="foot" pos="0 0 -1"/></body></body></worldbody>'
         '<actuator><motor name="m" joint="knee"/></actuator></mujoco>',
         encoding="utf-8",
@@ -278,7 +281,8 @@ def test_models_are_attached_with_their_own_settings(tmp_path: Path) -> None:
     path = tmp_path / "model.xml"
     path.write_text(
         '<mujoco><asset><model name="leg" file="leg.xml"/></asset><worldbody><body name="trunk" euler="0 30 0">'
-        '<joint name="j" range="-90 90"/><geom size="0.1"/><frame pos="0 0.2 0"><attach model="leg" body="thigh" prefix="l_"/>'
+        '<joint name="j" range="-90 90"/><geom size="0.1"/><frame pos="0 0.2 0">'
+        '<attach model="leg" body="thigh" prefix="l_"/>'
         '</frame><frame pos="0 -0.2 0" euler="10 0 0"><attach model="leg" body="thigh" prefix="r_"/></frame></body>'
         "</worldbody></mujoco>",
         encoding="utf-8",

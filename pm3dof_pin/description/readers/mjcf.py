@@ -771,12 +771,12 @@ class _MjcfReader(ElementReader):
             return np.asarray(turn.toRotationMatrix())
         if "xyaxes" in attributes:
             numbers = np.array(self.numbers(element, "xyaxes", 6, ANY, place))
-            x = numbers[:3] / (np.linalg.norm(numbers[:3]) or 1.0)
-            y = numbers[3:] - (x @ numbers[3:]) * x
-            if not (np.linalg.norm(x) and np.linalg.norm(y)):
+            first, second = numbers[:3], numbers[3:]
+            normal = np.cross(first, second)
+            if not normal.any():
                 raise given.origin.error(f"{place}: xyaxes", "expected two directions")
-            y /= np.linalg.norm(y)
-            return np.stack([x, y, np.cross(x, y)], axis=1)
+            columns = [first, np.cross(normal, first), normal]
+            return np.stack([column / np.linalg.norm(column) for column in columns], axis=1)
         if "zaxis" in attributes:
             return _turn_z_to(np.array(self._direction(element, "zaxis", 3, place)))
         if "euler" in attributes:
@@ -814,7 +814,7 @@ def _hull(vertices: np.ndarray) -> np.ndarray:
 
     faces = ConvexHull(vertices).simplices
     outward = np.linalg.det(vertices[faces] - vertices.mean(axis=0)) > 0.0
-    return np.where(outward[:, None], faces, faces[:, ::-1])
+    return np.asarray(np.where(outward[:, None], faces, faces[:, ::-1]))
 
 
 def _shifted(powers: tuple[float, ...], zero: float) -> list[float]:
