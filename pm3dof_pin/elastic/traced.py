@@ -38,6 +38,7 @@ from pm3dof_pin.programs.elimination import (
     product,
     solve_upper,
     total,
+    without_zeros,
     zeros,
 )
 from pm3dof_pin.programs.graph import Graph, Scalar, Truth, absolute, is_zero, select, sqrt
@@ -395,7 +396,9 @@ def _triangle(result: Elimination) -> tuple[Objects, list[int]]:
 def _independent(relations: Objects, rates: Objects, doubt: Doubt) -> Objects:
     """Return independent relations with the same solutions; dependence is decided by the spring rates."""
     width = relations.shape[1]
-    return eliminate(np.hstack([relations, rates]), range(width, width + rates.shape[1]), doubt).pivot_rows[:, :width]
+    return eliminate(
+        np.hstack([relations, without_zeros(rates, doubt)]), range(width, width + rates.shape[1]), doubt
+    ).pivot_rows[:, :width]
 
 
 def _whitened(branches_rows: Sequence[_Rows], doubt: Doubt, *, without_rigid: bool = False) -> Objects | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.programs.elimination import DROPPED, Doubt, eliminate, samples, solve_upper, zeros
+from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, without_zeros, zeros
 from pm3dof_pin.programs.graph import is_zero
 from pm3dof_pin.programs.loops import loop_equations
 from pm3dof_pin.programs.projection import rank
@@ -39,7 +39,8 @@ def closed_motions(
     motions[[passive[c] for c in columns]] = followed
     for k, c in enumerate(others):
         motions[passive[c] if c < count else driven[c - count], k] = 1.0
-    relations = _without_zeros(result.rest[:, count:], doubt)
+    relations = without_zeros(result.rest[:, count:], doubt)
+    relations = relations[[not all(map(is_zero, row)) for row in relations]]
     if rank(relations) < len(relations):
         relations = eliminate(relations, range(len(driven)), doubt).pivot_rows
     idle = len(result.dropped)
@@ -59,13 +60,3 @@ def constraint_rows(tree: Tree, unit: float) -> Objects:
     slides = tree.slides
     matrix[:, slides] = matrix[:, slides] * unit
     return matrix
-
-
-def _without_zeros(rows: Objects, doubt: Doubt) -> Objects:
-    """Return the rows with entries that vanish at all sample poses removed, and without zero rows."""
-    kept = rows.copy()
-    for place, entry in np.ndenumerate(rows):
-        if np.nanmax(np.abs(samples(entry))) <= DROPPED:
-            doubt.drop([entry])
-            kept[place] = 0.0
-    return kept[[not all(map(is_zero, row)) for row in kept]]

@@ -240,6 +240,16 @@ def zeros(rows: int, columns: int) -> Objects:
     return matrix
 
 
+def without_zeros(rows: Objects, doubt: Doubt) -> Objects:
+    """Return rows in which entries that vanish at all sample poses, compared with 1, are zeros."""
+    kept = rows.copy()
+    for place, entry in np.ndenumerate(rows):
+        if np.nanmax(np.abs(samples(entry))) <= DROPPED:
+            doubt.drop([entry])
+            kept[place] = 0.0
+    return kept
+
+
 def identity(size: int) -> Objects:
     """Return the identity matrix."""
     matrix = zeros(size, size)
