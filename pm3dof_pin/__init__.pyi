@@ -22,6 +22,7 @@ from .exceptions import PM3DofError as PM3DofError
 from .export.formats import export_robot as export_robot
 from .kinematics.grid import Grid as Grid
 from .kinematics.mobility import instantaneous_mobility as instantaneous_mobility
+from .kinematics.pose_file import read_poses as read_poses
 from .kinematics.poses import Poses as Poses
 from .kinematics.reachable_poses import reachable_poses as reachable_poses
 from .kinematics.robot import Robot as Robot

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,13 +43,22 @@ class CsvTable:
         path: the file.
         header: the names of the columns in these units, in the order of the file.
         written: the columns by the headings of the file, in its units, shape=(n,) each.
+        header_line: the line of the header.
         lines: the line of each row.
         columns: shape=(n,) each, by name.
         warnings: warnings about the file.
     """
 
-    def __init__(self, path: Path, needed: Sequence[str]) -> None:
+    def __init__(
+        self, path: Path, needed: Sequence[str], *, headings: Sequence[str] = (), words: Collection[str] = ()
+    ) -> None:
         """Read a file; without the columns `needed` it is rejected at once.
+
+        Args:
+            path: the file.
+            needed: columns in metres and radians that it must have.
+            headings: those of a file whose first line has numbers, in which blanks may separate columns.
+            words: columns of words, which are not read.
 
         Raises:
             MeasurementError: it is unreadable, a column has no name, is duplicated or missing, or a cell is not a
@@ -64,30 +73,36 @@ class CsvTable:
         # an empty line for a comment keeps the numbers of the lines
         lines = ["" if line.lstrip().startswith("#") else line for line in text.splitlines()]
         first = next((line for line in lines if line.strip()), "")
+        if headless := bool(headings) and _is_numbers(first):
+            lines = [",".join(line.partition("#")[0].replace(",", " ").split()) for line in lines]
+            first = ","
         separator = next((mark for mark in ";\t" if mark in first and "," not in first), ",")
         self._decimal_commas = separator != ","
         reader = csv.reader(lines, delimiter=separator)
         self.lines: list[int] = []
         rows = []
         try:
-            headings = [
-                without_apostrophe(name.strip()) for name in next((cells for cells in reader if any(cells)), [])
-            ]
+            if not headless:
+                header = next((cells for cells in reader if any(cells)), [])
+                headings = [without_apostrophe(name.strip()) for name in header]
             self.header, factors = self._in_si(headings)
-            self._check_header(needed, max(reader.line_num, 1))
+            self.header_line = max(reader.line_num, 1)
+            self._check_header(needed, self.header_line)
+            read = [(k, name) for k, name in enumerate(self.header) if name not in words]
             for cells in reader:
                 if not any(cell.strip() for cell in cells):
                     continue
                 if len(cells) != len(self.header):
-                    problem = f"{len(cells)} cells, expected {len(self.header)} as in the header"
+                    what = f"numbers: {', '.join(headings)}" if headless else "as in the header"
+                    problem = f"{len(cells)} cells, expected {len(self.header)} {what}"
                     raise MeasurementError(path, problem, [reader.line_num])
                 self.lines.append(reader.line_num)
-                rows.append([self._number(cell, name) for cell, name in zip(cells, self.header, strict=True)])
+                rows.append([self._number(cells[k], name) for k, name in read])
         except csv.Error as error:
             raise MeasurementError(path, f"expected CSV ({error})", [reader.line_num]) from error
-        table = np.array(rows, dtype=float).reshape(len(rows), len(self.header))
-        self.written: dict[str, Array] = dict(zip(headings, table.T, strict=True))
-        self.columns: dict[str, Array] = dict(zip(self.header, (table * factors).T, strict=True))
+        table, kept = np.array(rows, dtype=float).reshape(len(rows), len(read)), [k for k, _ in read]
+        self.written: dict[str, Array] = {headings[k]: column for k, column in zip(kept, table.T, strict=True)}
+        self.columns: dict[str, Array] = dict(zip((n for _, n in read), (table * factors[kept]).T, strict=True))
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -186,6 +201,14 @@ class CsvTable:
         except ValueError as error:
             problem = f"{column} is '{word}', expected a number"
             raise MeasurementError(self.path, problem, [self.lines[-1]]) from error
+
+
+def _is_numbers(line: str) -> bool:
+    """Tell whether a line has numbers, and no names."""
+    try:
+        return bool([float(word) for word in line.partition("#")[0].replace(",", " ").split()])
+    except ValueError:
+        return False
 
 
 def columns_as_text(columns: Mapping[str, Array]) -> str:

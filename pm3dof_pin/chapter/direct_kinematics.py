@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.chapter.kinematics import motion_twists, rotation
@@ -202,6 +201,8 @@ def _hidden_tangents(polynomials: Array) -> Array:
     identity, zero = np.eye(16), np.zeros((16, 16))
     left = np.block([[zero, identity], [-constant, -linear]])
     right = np.block([[identity, zero], [zero, quadratic]])
+    import scipy.linalg  # only for all assembly modes
+
     numerator, denominator = scipy.linalg.eigvals(left, right, homogeneous_eigvals=True)
     finite = np.abs(denominator) > 1e-12 * np.abs(numerator)
     return _nearly_real(numerator[finite] / denominator[finite])

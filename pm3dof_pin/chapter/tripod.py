@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, real_array
+from pm3dof_pin.description.coordinates import Unit
 from pm3dof_pin.description.parameters import TripodParameters
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError, UnreachablePoseError
-from pm3dof_pin.kinematics.unit_sense import other_unit
+from pm3dof_pin.kinematics.units import slip_in_range
 from pm3dof_pin.typing import Array
 
 
@@ -126,15 +127,15 @@ class Tripod:
 
     def _require_units(self, poses: Array) -> None:
         p = self.parameters
-        ranges = (
+        ranges: tuple[tuple[str, Unit, float, float], ...] = (
             ("theta_x", "rad", *p.tilt_range),
             ("theta_y", "rad", *p.tilt_range),
             ("z_e", "m", self.height_min, self.height_max),
         )
         for (name, unit, lower, upper), column in zip(ranges, np.moveaxis(poses, -1, 0), strict=True):
-            if word := other_unit(column, unit, lower, upper):
-                expected = f"{'metres' if unit == 'm' else 'radians'}; this looks like {word}"
-                raise InvalidValueError(name, f"{column.reshape(-1)[0]:.6g} {unit}", expected)
+            if slip := slip_in_range(column, unit, lower, upper):
+                problem = f"= {column.reshape(-1)[slip.index]:.6g} looks like {slip.unit}"
+                raise InvalidValueError(name, problem=problem, expected=slip.expected)
 
     def checked_pose(self, pose: ArrayLike) -> Array:
         """Return a single pose as an array, InvalidValueError unless shape=(3,)."""

@@ -15,10 +15,10 @@ from pm3dof_pin.cli.poses import (
     names_and_units,
     place,
     print_at_pose,
-    read_poses,
-    readings,
+    read_table,
     write_batch,
 )
+from pm3dof_pin.kinematics.pose_file import readings
 
 if TYPE_CHECKING:
     from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
@@ -72,13 +72,14 @@ def compensate(
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
     if chosen.poses is not None:
         names = () if known.learned is None else known.learned.inputs.conditions
-        file, many = read_poses(machine, chosen.poses, placements=True, numbers=names)
-        conditions = _completed(known, {**given, **file.numbers})
+        table = read_table(machine, chosen.poses, used=names)
+        many, numbers = table.poses, {name: table.others[name] for name in names if name in table.others}
+        conditions = _completed(known, {**given, **numbers})
         with progress_bar("compensating") as progress:
             answer = known.compensate(many, conditions, on_failure="nan", with_deviations=False, progress=progress)
         columns = {
-            **file.columns_as_written,
-            **file.numbers,
+            **table.columns,
+            **numbers,
             **readings(machine.command_coordinates, answer.commands),
             "predicted_error_m": answer.predicted_error,
             "error_95_percent_m": answer.error_bound,
@@ -112,12 +113,12 @@ def _moves_alike(one: Robot, other: Robot) -> bool:
     """Tell whether two robots have the same drives, and the same tool positions at commands around home."""
     import numpy as np
 
-    from pm3dof_pin.kinematics.coordinate_units import units_of
+    from pm3dof_pin.kinematics.units import coordinate_scales
 
     drives = [[(command.name, command.unit) for command in robot.commands] for robot in (one, other)]
     if drives[0] != drives[1] or not np.allclose(one.home.commands, other.home.commands, rtol=0.0, atol=_SAME):
         return False
-    steps = _TRIED * units_of(other, other.command_coordinates)
+    steps = _TRIED * coordinate_scales(other, other.command_coordinates)
     commands = other.home.commands + np.vstack([np.zeros(len(steps)), np.diag(steps)])
     places = [robot.forward(commands, on_failure="nan", engine="pinocchio").transforms for robot in (one, other)]
     return bool(np.allclose(places[0], places[1], rtol=0.0, atol=_SAME, equal_nan=True))

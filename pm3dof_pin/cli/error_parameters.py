@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import message, print_result, table_lines
-
-if TYPE_CHECKING:
-    from pm3dof_pin.description.error_file import ErrorEntry
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
-    from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.description.error_file import ErrorEntry, error_file_text, read_error_file
+from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
+from pm3dof_pin.errors.minimal_parameters import error_entries, minimal_parameters, poses_needed
+from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
 _SHOWN = 10
 _LISTED = 3
@@ -33,15 +37,6 @@ def error_parameters(
     The set is the smallest with the same effect on the tool as all errors of joints, closures and the tool. Parameters
     that the robot's error file declares come first.
     """
-    import numpy as np
-
-    from pm3dof_pin.description.error_file import error_file_text, read_error_file
-    from pm3dof_pin.description.robots import find_robot
-    from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
-    from pm3dof_pin.errors.minimal_parameters import error_entries, minimal_parameters, poses_needed
-    from pm3dof_pin.files import write_text_atomically
-    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-
     file = find_robot(which.robot, which.package_path or ()).errors
     loaded = which.load_errors()
     declared = loaded if file.is_file() else None
@@ -114,8 +109,6 @@ def _places(names: Sequence[str]) -> str:
 
 def closing_errors(errors: GeometricErrors, poses: Poses | None = None, *, quiet: bool = False) -> GeometricErrors:
     """Return the errors that let the loops close at the poses (random by default), and report how many are dropped."""
-    from pm3dof_pin.errors.sensitivity import closable
-
     fitting = closable(errors, poses)
     if len(fitting) < len(errors) and not quiet:
         dropped = [name for name in errors.names if name not in fitting.names]

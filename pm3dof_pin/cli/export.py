@@ -9,6 +9,8 @@ import typer
 
 from pm3dof_pin.cli.options import MachineOptions
 from pm3dof_pin.cli.output import message
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.export.formats import export_robot
 
 # as in pm3dof_pin.export.formats, which is not imported just for the help
 _Format: TypeAlias = Literal["drake", "gepetto", "mjcf", "ros", "sdf", "urdf"]
@@ -32,9 +34,6 @@ def export(
     ros is a ROS 2 package; urdf is the URDF with its closures file, error file and SRDF. Mesh files are written next to
     it; --no-meshes omits them.
     """
-    from pm3dof_pin.exceptions import DescriptionError
-    from pm3dof_pin.export.formats import export_robot
-
     folder = out if out is not None else Path("results") / format_name
     try:
         written = export_robot(which.path, format_name, folder, meshes=meshes, **which.reading)

@@ -5,19 +5,25 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
+import numpy as np
 import typer
 
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
+from pm3dof_pin.description.closures import ClosuresSchema
 from pm3dof_pin.description.coordinates import shown_in
-
-if TYPE_CHECKING:
-    from pm3dof_pin.description.robots import RobotFiles
-    from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.description.error_file import ErrorFileSchema
+from pm3dof_pin.description.parameters import Parameter
+from pm3dof_pin.description.robots import RobotFiles, find_robot, robot_names
+from pm3dof_pin.elastic.springs import SPRING_SCHEMAS
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
+from pm3dof_pin.kinematics.robot import Robot
 
 _CLOSED = 1e-6  # greatest residual of a closed loop [m or rad]
 
@@ -42,8 +48,6 @@ def info(
 
     Works on any file that can be read, and says what is missing and what to try.
     """
-    from pm3dof_pin.description.robots import find_robot, robot_names
-
     if schema is not None:
         print_result(_file_schema(schema), [], as_json=True)
         return
@@ -72,11 +76,6 @@ def _file_schema(kind: _FileKind) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a kind of file, generated from the types that check it on reading."""
     import msgspec
 
-    from pm3dof_pin.description.closures import ClosuresSchema
-    from pm3dof_pin.description.error_file import ErrorFileSchema
-    from pm3dof_pin.description.parameters import Parameter
-    from pm3dof_pin.elastic.springs import SPRING_SCHEMAS
-
     schema: type | None = {"closures": ClosuresSchema, "errors": ErrorFileSchema}.get(kind)
     schemas = [schema or Parameter, *(SPRING_SCHEMAS.values() if kind == "closures" else ())]
     (root, *springs), parts = msgspec.json.schema_components(schemas, ref_template="#/$defs/{name}")
@@ -102,7 +101,6 @@ def _files(files: RobotFiles) -> dict[str, Any]:
 def _errors(files: RobotFiles, robot: Robot) -> dict[str, Any]:
     if not files.errors.is_file():
         return {"error_parameters": None}
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
 
     errors = GeometricErrors.of(robot, files.errors)
     return {"error_parameters": {group: len(errors.indices(group)) for group in errors.groups}}
@@ -141,8 +139,6 @@ def _is_carried(model: Any, frame: Any, joints: list[str]) -> bool:
 
 
 def _closures(robot: Robot) -> dict[str, Any]:
-    import numpy as np
-
     home, rows = robot.home, robot.loop_kinematics.rows
     residuals = [float(np.abs(home.closure_error[part]).max()) for part in rows]
     return {
@@ -163,9 +159,6 @@ def _closures(robot: Robot) -> dict[str, Any]:
 
 def _mobility(robot: Robot) -> dict[str, Any]:
     """Count degrees of freedom at home; all None if the loops are open."""
-    from pm3dof_pin.exceptions import InvalidValueError
-    from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
-
     keys = ("mobility", "tool_mobility", "redundant_constraints", "free_degrees_of_freedom", "idle_degrees_of_freedom")
     try:
         dof = DegreesOfFreedom(robot.home)

@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, newton
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.cli.options import Json, MachineOptions, NamedConfiguration, OutFile, PoseOptions, finite_number
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import (
     expected_numbers,
     names_and_units,
     place,
-    read_poses,
-    readings,
+    read_table,
     si_values,
     solve_chosen,
     solve_pose,
     with_units,
     write_batch,
 )
-from pm3dof_pin.description.coordinates import shown_in
+from pm3dof_pin.description.coordinates import Coordinate, shown_in
+from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from pm3dof_pin.chapter.tripod import Tripod
-    from pm3dof_pin.description.coordinates import Coordinate
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.typing import Vector
+from pm3dof_pin.kinematics.pose_file import readings
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Vector
 
 Commands = Annotated[
     list[float] | None,
@@ -88,8 +86,9 @@ def fk(
     if chosen.is_empty:
         raise typer.BadParameter(f"expected commands: {expected_numbers(machine, machine.command_coordinates)}")
     if poses is not None:
-        file, many = read_poses(machine, poses, forward=True)
-        write_batch(many, file.columns_as_written | readings(machine.coordinates, many.coordinates), out, as_json)
+        table = read_table(machine, poses, given="commands")
+        found = readings(machine.coordinates, table.poses.coordinates)
+        write_batch(table.poses, dict(table.columns) | found, out, as_json)
         return
     modes: list[Vector] = []
     residuals: list[float] = []
@@ -179,9 +178,6 @@ def _pose_lines(coordinates: Sequence[Coordinate], poses: Sequence[Vector]) -> l
 
 def _all_modes(commands: Vector, tripod: Tripod) -> tuple[list[Vector], list[float]]:
     """Return every pose of the chapter's machine at the given commands, with the link length errors [m]."""
-    from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, newton
-    from pm3dof_pin.exceptions import UnreachablePoseError
-
     modes = all_assembly_modes(tripod, commands)
     if not len(modes):
         travels = ", ".join(f"{travel:g}" for travel in commands)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from pm3dof_pin.cli.options import Json, MachineOptions, Payload, PoseOptions, payloads_of
 from pm3dof_pin.cli.output import fixed, table_lines
 from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
-
-if TYPE_CHECKING:
-    from pm3dof_pin.dynamics.modes import Modes
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.typing import Array, Vector
+from pm3dof_pin.dynamics.batch import natural_frequencies
+from pm3dof_pin.dynamics.modes import Modes, natural_modes
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array, Vector
 
 
 def modes(
@@ -30,12 +31,6 @@ def modes(
     per square root of kg m^2 / kg. Modes of frequency zero, which strain no spring, are listed separately. A pose that
     breaks a joint limit is still computed, with a message and exit status 1.
     """
-    import numpy as np
-
-    from pm3dof_pin.dynamics.batch import natural_frequencies
-    from pm3dof_pin.dynamics.modes import natural_modes
-    from pm3dof_pin.elastic.elastic_model import ElasticModel
-
     machine = which.load()
     model, payloads = ElasticModel(machine), payloads_of(machine, payload)
 

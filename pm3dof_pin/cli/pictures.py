@@ -15,7 +15,6 @@ from pm3dof_pin.cli.output import message
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 PictureFormat = StrEnum("PictureFormat", "png pdf svg")  # pixels at 300 dpi, or vector graphics
 
 
@@ -27,7 +26,7 @@ Formats = Annotated[
 
 def save(figure: Figure, path: Path, formats: Iterable[PictureFormat] | None) -> list[Path]:
     """Write a picture in the formats of `--format`; the suffix of the path is ignored."""
-    from pm3dof_pin.figures.style import save_pictures
+    from pm3dof_pin.figures.style import save_pictures  # it loads matplotlib
 
     return save_pictures(figure, path, [entry.value for entry in formats or (PictureFormat.png,)])
 

@@ -5,33 +5,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 import typer
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.cli.options import PlaceOptions, PoseOptions
 from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, stop_on_broken_limits
 from pm3dof_pin.description.coordinates import Coordinate, shown_in
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.broken_limits import broken_limits
+from pm3dof_pin.kinematics.pose_file import BROKEN_LIMITS, Given, PoseTable, columns_text, read_poses
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.units import unit_slip
+from pm3dof_pin.typing import Vector
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pm3dof_pin.kinematics.pose_file import PoseFile
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.typing import Array, Vector
-
-BROKEN_LIMITS = "broken_limits"
-"""Header of the column that names the limits a pose breaks."""
-
-_FAR = 100.0  # lengths beyond this many machine sizes are taken to be in another unit
-_MOST_DEGREES = 360.0
+_MAX_DEGREES = 360.0
 _FEW_DEGREES = 0.5
 
 
 def place(robot: Robot, chosen: PlaceOptions) -> Poses:
-    """Solve the chosen pose, shape=(); for a file of poses see :func:`read_poses`.
+    """Solve the chosen pose, shape=(); for a file of poses see :func:`read_table`.
 
     Raises:
         UnreachablePoseError: the pose is out of reach.
@@ -48,8 +45,8 @@ def solve_chosen(
     """Solve the chosen pose, shape=(); for a file of poses, write `columns` after its own and return None."""
     if chosen.poses is None:
         return place(robot, chosen)
-    file, many = read_poses(robot, chosen.poses)
-    write_batch(many, file.columns_as_written | dict(columns(many)), chosen.out, as_json)
+    table = read_table(robot, chosen.poses)
+    write_batch(table.poses, dict(table.columns) | dict(columns(table.poses)), chosen.out, as_json)
     return None
 
 
@@ -66,8 +63,6 @@ def print_at_pose(pose: Poses, result: Mapping[str, Any], lines: Sequence[str], 
 
 def solve_pose(robot: Robot, values: Vector, *, forward: bool = False) -> Poses:
     """Solve the pose at coordinates (or commands) [rad, m], shape=(); raise UnreachablePoseError if out of reach."""
-    from pm3dof_pin.exceptions import UnreachablePoseError
-
     given = robot.command_coordinates if forward else robot.coordinates
     try:
         # for one pose, importing the compiler takes longer than solving without it
@@ -80,41 +75,16 @@ def solve_pose(robot: Robot, values: Vector, *, forward: bool = False) -> Poses:
         ) from error
 
 
-def read_poses(
-    robot: Robot, path: Path, *, forward: bool = False, placements: bool = False, numbers: Sequence[str] = ()
-) -> tuple[PoseFile, Poses]:
-    """Read a file of poses (`forward`: of commands) and solve them; poses out of reach are NaN.
-
-    It may hold `placements` of the tool, x_m, y_m, z_m, qw, qx, qy, qz, instead of coordinates; optional columns
-    `numbers` are read if present.
-
-    Raises:
-        DescriptionError: the file cannot be read, or a column or entry is wrong.
-    """
-    import numpy as np
-
-    from pm3dof_pin.kinematics.pose_file import PoseFile
-
-    if placements and PoseFile.gives_placements(path):
-        file, transforms = PoseFile.read_placements(path, known=[BROKEN_LIMITS], numbers=numbers)
-        return file, robot.reach(transforms, on_failure="nan")
-    given, others = robot.coordinates, robot.command_coordinates
-    if forward:
-        given, others = others, given
-    known = [heading for coordinate in others for heading in coordinate.headings]
-    file = PoseFile.read(path, given, known=[*known, BROKEN_LIMITS], numbers=numbers)
-    if file.unused:
-        message(f"pm3dof: {path}: unused columns: {', '.join(file.unused)}")
-    check_units(robot, given, file.values * _factors(given))
-    solve = robot.forward if forward else robot.solve
-    return file, solve(np.array(file.values), on_failure="nan")
+def read_table(robot: Robot, path: Path, *, given: Given = "coordinates", used: Sequence[str] = ()) -> PoseTable:
+    """Read a table of poses, see :func:`~pm3dof_pin.kinematics.pose_file.read_poses`; name its columns not `used`."""
+    table = read_poses(robot, path, given=given)
+    if unused := [name for name in table.others if name not in used]:
+        message(f"pm3dof: {path}: unused columns: {', '.join(unused)}")
+    return table
 
 
 def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None, as_json: bool) -> None:
     """Write columns about many poses and the limits they break; exit with status 1 if any pose breaks one."""
-    from pm3dof_pin.files import write_text_atomically
-    from pm3dof_pin.kinematics.pose_file import columns_text
-
     table = {**columns, BROKEN_LIMITS: _limit_words(poses)}
     inside = int(poses.within_limits.sum())
     if as_json:
@@ -150,15 +120,8 @@ def column_of(name: str, unit: str) -> str:
     return f"{name}_{unit.replace(' ', '_')}"
 
 
-def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Array]:
-    """Return file columns, angles in degrees, of coordinate values, shape=(n, number of coordinates)."""
-    return {c.heading: shown_in(c.unit)[0] * column for c, column in zip(coordinates, values.T, strict=True)}
-
-
 def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> Vector:
     """Convert coordinates from [deg, m] to [rad, m] after checking their number and that their units are plausible."""
-    import numpy as np
-
     if not coordinates:
         raise typer.BadParameter(f"{robot.name} has neither coordinates nor commands: use --configuration")
     if len(numbers) != len(coordinates):
@@ -185,20 +148,16 @@ def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
 
 def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayLike) -> None:
     """Reject numbers, shape=(n, number of coordinates) [deg, m], that look like another unit, and name that unit."""
-    import numpy as np
-
     table = np.asarray(numbers, dtype=float)
     if not table.size:
         return
-    size = max(robot.characteristic_length, *(abs(v) for c, v in _home_of(robot, coordinates) if c.unit == "m"), 0.0)
     angles = []
     for coordinate, column in zip(coordinates, table.T, strict=True):
         worst = float(column[np.abs(column).argmax()])
-        if coordinate.unit == "m" and abs(worst) > _FAR * size:
-            raise typer.BadParameter(
-                f"{coordinate.name} = {worst:g} m looks like millimetres: expected metres ({worst / 1000:g})"
-            )
-        if coordinate.unit == "rad" and abs(worst) > _MOST_DEGREES:
+        if coordinate.unit == "m" and (slip := unit_slip(robot, coordinate, column)):
+            found = f"{coordinate.name} = {worst:g} m looks like {slip.unit}"
+            raise typer.BadParameter(f"{found}: expected metres ({worst / 1000:g})")
+        if coordinate.unit == "rad" and abs(worst) > _MAX_DEGREES and not _turns_without_end(robot, coordinate):
             raise typer.BadParameter(f"{coordinate.name} = {worst:g} deg is more than a full turn: expected degrees")
         if coordinate.unit == "rad":
             angles.append((coordinate, worst))
@@ -224,6 +183,10 @@ def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], values: Vector
     return f"; {', '.join(words)}" if words else ""
 
 
+def _turns_without_end(robot: Robot, coordinate: Coordinate) -> bool:
+    return coordinate.joint is not None and not math.isfinite(np.ptp(robot.range_of(coordinate)))
+
+
 def _limit_words(poses: Poses) -> list[str]:
     """Return one word per pose: the limit groups it breaks, or "reach" if it is out of reach."""
     names = ("reach", *(group.name for group in poses.robot.limit_groups))
@@ -234,8 +197,6 @@ def _limit_words(poses: Poses) -> list[str]:
 
 
 def _named_configuration(robot: Robot, name: str | None) -> Vector:
-    from pm3dof_pin.exceptions import InvalidValueError
-
     named = robot.named_configurations
     if name is None or (name == "home" and "home" not in named):
         return robot.assemble(robot.home).q
@@ -243,16 +204,3 @@ def _named_configuration(robot: Robot, name: str | None) -> Vector:
         expected = f"one of {', '.join(named)}" if named else "home, the only one there is"
         raise InvalidValueError("--configuration", name, expected)
     return robot.assemble(named[name]).q
-
-
-def _home_of(robot: Robot, coordinates: Sequence[Coordinate]) -> list[tuple[Coordinate, float]]:
-    home = robot.at(robot.home.q)
-    transforms = home.transforms if any(coordinate.tool for coordinate in coordinates) else None
-    return list(zip(coordinates, robot.read(tuple(coordinates), home.q, transforms), strict=True))
-
-
-def _factors(coordinates: Sequence[Coordinate]) -> Any:
-    """Return the factors from SI to command-line units, shape=(number of coordinates,)."""
-    import numpy as np
-
-    return np.array([shown_in(coordinate.unit)[0] for coordinate in coordinates])

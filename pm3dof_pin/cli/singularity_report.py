@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
+from pm3dof_pin.kinematics.singularity import singularities, singularity_distances
+from pm3dof_pin.mechanism.configuration import Configuration
 
 
 def read_singularity_distances(configuration: Configuration) -> dict[str, Any] | None:
     """Return measure, tool twist and whether singular, by type; None without a tool or a generic configuration."""
-    from pm3dof_pin.exceptions import PM3DofError
-    from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
-    from pm3dof_pin.kinematics.singularity import singularities, singularity_distances
-
     if configuration.mechanism.tool_frame is None:
         return None
     try:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from pm3dof_pin.cli.options import Json, MachineOptions, Payload, PoseOptions, payloads_of
 from pm3dof_pin.cli.output import fixed, table_lines
 from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
-
-if TYPE_CHECKING:
-    from pm3dof_pin.dynamics.statics import ActuatorForces
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.mechanism.configuration import Configuration
-    from pm3dof_pin.typing import Array
+from pm3dof_pin.dynamics.batch import actuator_forces
+from pm3dof_pin.dynamics.statics import ActuatorForces, holding_forces
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.closure_wrenches import closure_wrenches
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Array
 
 
 def statics(
@@ -28,8 +30,6 @@ def statics(
     first; for the legs of pm3dof, it is the force of a link on the platform, z along the link. A pose that breaks a
     joint limit is still computed, with a message and exit status 1.
     """
-    from pm3dof_pin.dynamics.statics import holding_forces
-
     machine = which.load()
     payloads = payloads_of(machine, payload)
     pose = solve_chosen(machine, chosen, lambda poses: _columns(machine, poses, payloads), as_json)
@@ -42,10 +42,6 @@ def statics(
 
 
 def _columns(robot: Robot, poses: Poses, payloads: dict[str, float]) -> dict[str, Array]:
-    import numpy as np
-
-    from pm3dof_pin.dynamics.batch import actuator_forces
-
     forces = np.full((len(poses), len(robot.actuated_joints)), np.nan)
     forces[poses.solved] = actuator_forces(robot, poses.q[poses.solved], payloads=payloads)
     units = ["N" if robot.single_joint(name).translates else "N m" for name in robot.actuated_joints]
@@ -54,8 +50,6 @@ def _columns(robot: Robot, poses: Poses, payloads: dict[str, float]) -> dict[str
 
 
 def _result(robot: Robot, configuration: Configuration, forces: ActuatorForces) -> dict[str, Any]:
-    from pm3dof_pin.mechanism.closure_wrenches import closure_wrenches
-
     slides = [robot.single_joint(name).translates for name in robot.actuated_joints]
     numbers = list(zip(forces.actuator_forces, slides, strict=True))
     result: dict[str, Any] = {

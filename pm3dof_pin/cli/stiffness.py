@@ -5,25 +5,30 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
+import numpy as np
 import typer
 
+from pm3dof_pin.chapter import chapter_stiffness as chapter
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.cli.options import THE_TRIPOD, Json, MachineOptions, PoseOptions
 from pm3dof_pin.cli.output import fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import column_of, place, print_at_pose, si_values, solve_chosen
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
+from pm3dof_pin.elastic import indices
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
+from pm3dof_pin.elastic.indices import axis_stiffness
+from pm3dof_pin.elastic.report import CartesianCompliance, cartesian_compliance, direction_names
+from pm3dof_pin.elastic.shares import shares
+from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits
-
-if TYPE_CHECKING:
-    from pm3dof_pin.chapter.tripod import Tripod
-    from pm3dof_pin.elastic.elastic_model import ElasticModel
-    from pm3dof_pin.elastic.free_motions import FreeMotionStiffness
-    from pm3dof_pin.elastic.report import CartesianCompliance
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.mechanism.configuration import Configuration
-    from pm3dof_pin.typing import Array, Matrix, Vector
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Array, Matrix, Vector
 
 _JSON_UNITS = {
     "K": "N/m, N, N m/rad",
@@ -55,9 +60,6 @@ def stiffness(
     If the tool is rigid in some direction there is no 6 x 6 stiffness: the compliance is printed, and the stiffness of
     the tool's free motions. A pose that breaks a joint limit is still computed, with a message and exit status 1.
     """
-    from pm3dof_pin.elastic.elastic_model import ElasticModel
-    from pm3dof_pin.elastic.report import cartesian_compliance
-
     machine = which.load()
     if model == "chapter":
         if not which.is_the_tripod or not chosen.numbers:
@@ -87,10 +89,6 @@ def _free_motions(
     elastic: ElasticModel, tool: CartesianCompliance, configuration: Configuration
 ) -> FreeMotionStiffness | None:
     """Return the stiffness of the free motions; None, with a message, if it does not exist either."""
-    from pm3dof_pin.elastic.free_motions import free_motion_stiffness
-    from pm3dof_pin.elastic.report import direction_names
-    from pm3dof_pin.exceptions import SingularConfigurationError
-
     message(f"pm3dof: the tool is rigid, so there is no 6 x 6 K. Rigid: {direction_names(tool.rigid_directions)}")
     try:
         return free_motion_stiffness(elastic, configuration)
@@ -109,11 +107,6 @@ def _read_free_motions(free: FreeMotionStiffness) -> dict[str, Any]:
 
 def _columns(elastic: ElasticModel, poses: Poses) -> dict[str, Array]:
     """Return the felt stiffness and the compliance of many poses as columns."""
-    import numpy as np
-
-    from pm3dof_pin.elastic.batch import compliance
-    from pm3dof_pin.elastic.indices import axis_stiffness
-
     matrices = compliance(elastic, poses, on_failure="nan")
     felt = axis_stiffness(np.einsum("nii->ni", matrices))
     columns = {column_of(f"felt_{axis}", UNITS[k]): felt[:, k] for k, axis in enumerate(TOOL_COMPONENTS)}
@@ -124,8 +117,6 @@ def _columns(elastic: ElasticModel, poses: Poses) -> dict[str, Array]:
 
 
 def _print_chapter(tripod: Tripod, pose: Vector, as_json: bool) -> None:
-    from pm3dof_pin.chapter import chapter_stiffness as chapter
-
     diagonal = chapter.chapter_stiffness(tripod, pose)
     index = float(chapter.global_index(diagonal))
     named = dict(zip(chapter.AXES, diagonal, strict=True))
@@ -137,11 +128,6 @@ def _print_chapter(tripod: Tripod, pose: Vector, as_json: bool) -> None:
 
 def _read(compliance: Matrix, names: Sequence[str], contributions: Array) -> dict[str, Any]:
     """Return the results from a compliance; a rigid axis has infinite felt stiffness and no shares."""
-    import numpy as np
-
-    from pm3dof_pin.elastic.indices import axis_stiffness
-    from pm3dof_pin.elastic.shares import shares
-
     felt = axis_stiffness(np.diag(compliance))
     with np.errstate(divide="ignore", invalid="ignore"):
         parts = shares(contributions[None], np.eye(6))  # a unit force or moment along each axis in turn
@@ -158,10 +144,6 @@ def _read(compliance: Matrix, names: Sequence[str], contributions: Array) -> dic
 
 def _read_stiffness(stiffness: Matrix, compliance: Matrix) -> dict[str, Any]:
     """Return the results from a stiffness and its inverse, the compliance."""
-    import numpy as np
-
-    from pm3dof_pin.elastic import indices
-
     length = indices.characteristic_length(stiffness)
     principal = {
         f"{motion}_others_{others}": indices.principal_axes(

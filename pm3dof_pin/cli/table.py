@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pm3dof_pin.chapter import table_8_3 as table
+from pm3dof_pin.chapter.table_8_3 import TableRow
 from pm3dof_pin.cli.map_options import EngineOption
 from pm3dof_pin.cli.options import Config, Json, MachineOptions
 from pm3dof_pin.cli.output import print_result, table_lines
 
-if TYPE_CHECKING:
-    from pm3dof_pin.chapter.table_8_3 import TableRow
-
 
 def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption = "program") -> None:
     """Print Table 8.3, published and computed; with --engine pinocchio, from the URDF's Jacobians."""
-    from pm3dof_pin.chapter import table_8_3 as table
-
     which = MachineOptions(config=config)
     robot = which.load() if engine == "pinocchio" else None
     rows = table.table_8_3(which.tripod(), robot=robot)

@@ -5,29 +5,40 @@ from __future__ import annotations
 import logging
 import signal
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
+import numpy as np
 import typer
 
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
-from pm3dof_pin.cli.poses import check_units, in_si, place, solve_pose
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent, shown_in
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from pm3dof_pin.elastic.elastic_model import ElasticModel
-    from pm3dof_pin.elastic.indices import OtherMotions
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.mechanism.configuration import Configuration
-    from pm3dof_pin.typing import Matrix, Motion
-    from pm3dof_pin.viewer import Viewer
-    from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity
+from pm3dof_pin.cli.poses import place, solve_pose
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
+from pm3dof_pin.dynamics.statics import holding_forces
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.indices import OtherMotions
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.exceptions import (
+    DescriptionError,
+    InvalidValueError,
+    PM3DofError,
+    RigidDirectionError,
+    SingularConfigurationError,
+    UnreachablePoseError,
+)
+from pm3dof_pin.kinematics.broken_limits import broken_limits
+from pm3dof_pin.kinematics.pose_file import read_poses
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Matrix, Motion
+from pm3dof_pin.viewer import Viewer
+from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity
+from pm3dof_pin.viewer.server import is_loopback
 
 _FRAMES_PER_SECOND = 20
 _KINDS: tuple[Motion, Motion] = ("translation", "rotation")
@@ -68,7 +79,7 @@ def view(
     ] = None,
     path: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Play a path: a text file with one POSE per line."),
+        typer.Option(metavar="FILE", help="Play a path: a file as for --poses of ik, or one POSE per line."),
     ] = None,
     duration: Annotated[float, typer.Option(min=0.1, help="Duration of the path [s].")] = 6.0,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a self-contained page and exit.")] = None,
@@ -96,9 +107,6 @@ def view(
     Sliders move it by its coordinates and by its commands. The page is served until Ctrl-C, to this machine only. A
     pose that breaks a joint limit is still shown, with a message (and exit status 1 if a file is written).
     """
-    from pm3dof_pin.kinematics.broken_limits import broken_limits
-    from pm3dof_pin.viewer import Viewer
-
     if path is not None and not chosen.is_empty:
         raise typer.BadParameter("--path cannot be combined with POSE or --configuration")
     machine = which.load()
@@ -144,8 +152,6 @@ def view(
 
 def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
     """Serve the page until Ctrl-C or SIGTERM."""
-    from pm3dof_pin.viewer.server import is_loopback
-
     logging.getLogger("pm3dof_pin.viewer.server").setLevel(logging.ERROR)  # its warning is repeated below
     for violation in broken:
         message(f"pm3dof: joint limit broken: {violation}")
@@ -171,8 +177,6 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
 
 
 def _elastic_model(machine: Robot) -> ElasticModel | None:
-    from pm3dof_pin.elastic.elastic_model import ElasticModel
-
     if not machine.springs or machine.tool_frame is None:
         lacks = "tool frame" if machine.springs else "springs"
         message(f"pm3dof: {machine.name} has no {lacks} in its description: stiffness ellipsoids are not drawn")
@@ -181,9 +185,6 @@ def _elastic_model(machine: Robot) -> ElasticModel | None:
 
 
 def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, others: OtherMotions | None) -> None:
-    from pm3dof_pin.elastic.report import cartesian_compliance
-    from pm3dof_pin.exceptions import DescriptionError, RigidDirectionError, SingularConfigurationError
-
     if viewer.mechanism.tool_frame is None:
         return
     try:
@@ -206,10 +207,6 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
 
 def _colour_legs(viewer: Viewer, model: ElasticModel, shares: ToolComponent | None) -> None:
     """Colour the legs under a unit load, or prepare the page to do so on request."""
-    import numpy as np
-
-    from pm3dof_pin.exceptions import PM3DofError
-
     loads = [shares] if shares is not None else ["z", *TOOL_COMPONENTS]
     for load in loads:
         try:
@@ -221,9 +218,6 @@ def _colour_legs(viewer: Viewer, model: ElasticModel, shares: ToolComponent | No
 
 
 def _compliance_on_path(model: ElasticModel, poses: Poses) -> list[Matrix] | None:
-    from pm3dof_pin.elastic.report import cartesian_compliance
-    from pm3dof_pin.exceptions import SingularConfigurationError
-
     try:
         return [cartesian_compliance(model, configuration).compliance for configuration in poses]
     except SingularConfigurationError as error:
@@ -232,9 +226,6 @@ def _compliance_on_path(model: ElasticModel, poses: Poses) -> list[Matrix] | Non
 
 
 def _draw_forces(viewer: Viewer, configuration: Configuration) -> None:
-    from pm3dof_pin.dynamics.statics import holding_forces
-    from pm3dof_pin.exceptions import SingularConfigurationError
-
     try:
         forces = holding_forces(configuration).actuator_forces
     except SingularConfigurationError as error:
@@ -245,8 +236,6 @@ def _draw_forces(viewer: Viewer, configuration: Configuration) -> None:
 
 
 def _draw_workspace(viewer: Viewer, quantity: str) -> None:
-    from pm3dof_pin.exceptions import InvalidValueError
-
     try:
         viewer.workspace(quantity)
     except InvalidValueError as error:
@@ -261,11 +250,12 @@ def _limits_on_path(poses: Poses) -> list[str]:
 
 def _poses_on_path(machine: Robot, path: Path, frames: int) -> Poses:
     """Read the poses of a path and interpolate frames between them, equally spaced."""
-    import numpy as np
-
-    from pm3dof_pin.exceptions import UnreachablePoseError
-
-    corners = _read_path(machine, path)
+    table = read_poses(machine, path)
+    corners = table.poses.coordinates
+    if len(corners) < 2:
+        raise DescriptionError(path, "file", "expected at least two poses")
+    if (missing := np.flatnonzero(~table.poses.solved)).size:
+        raise UnreachablePoseError(f"{path}: pose {missing[0] + 1} is out of reach")
     places = np.linspace(0.0, len(corners) - 1.0, frames)
     values = np.column_stack([np.interp(places, np.arange(len(corners)), line) for line in corners.T])
     poses = machine.solve(values, on_failure="nan")
@@ -276,33 +266,3 @@ def _poses_on_path(machine: Robot, path: Path, frames: int) -> Poses:
         except UnreachablePoseError as error:
             raise UnreachablePoseError(f"{path}: between poses {before} and {before + 1}: {error}") from error
     return poses
-
-
-def _read_path(machine: Robot, path: Path) -> Matrix:
-    import math
-
-    import numpy as np
-
-    from pm3dof_pin.exceptions import DescriptionError
-    from pm3dof_pin.files import read_text
-
-    units = ", ".join(f"{c.name} [{shown_in(c.unit)[1]}]" for c in machine.coordinates)
-    count = len(machine.coordinates)
-    poses = []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        words = line.partition("#")[0].replace(",", " ").split()
-        if not words:
-            continue
-        try:
-            pose = [float(word) for word in words]
-        except ValueError:
-            pose = []
-        if len(pose) != count:
-            raise DescriptionError(path, f"line {number}", f"expected {count} numbers: {units}")
-        if not all(map(math.isfinite, pose)):
-            raise DescriptionError(path, f"line {number}", "expected finite numbers")
-        poses.append(pose)
-    if len(poses) < 2:
-        raise DescriptionError(path, "file", f"expected at least two poses, one per line: {units}")
-    check_units(machine, machine.coordinates, poses)
-    return np.array([[in_si(c.unit, n) for c, n in zip(machine.coordinates, pose, strict=True)] for pose in poses])

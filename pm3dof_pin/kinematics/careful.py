@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, Assembly, assemble
-from pm3dof_pin.kinematics.coordinate_units import turns_of, units_of
+from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales
 from pm3dof_pin.typing import Matrix, Vector
 
 if TYPE_CHECKING:
@@ -64,10 +64,10 @@ class _Walk:
             return next((result.q for result in results if result.converged), np.full_like(q, np.nan))
         placed = any(coordinate.tool is not None for coordinate in self._coordinates)
         origin = robot.read(self._coordinates, q, start.tool_placement.homogeneous if placed else None)
-        way, turns = target - origin, turns_of(robot, self._coordinates)
+        way, turns = target - origin, coordinate_periods(robot, self._coordinates)
         angles = np.isfinite(turns)
         way[angles] -= turns[angles] * np.round(way[angles] / turns[angles])  # the shorter direction
-        units = units_of(robot, self._coordinates)
+        units = coordinate_scales(robot, self._coordinates)
         first = 1.0 / max(np.ceil(np.abs(way / units).max(initial=0.0) / _LEG), 1.0)
         done, step, last = 0.0, _FIRST_LEG * first, assemble_at(robot, self._coordinates, origin, q, 1)
         regularity = _regularity(last)

@@ -32,9 +32,9 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.careful import assemble_at
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
-from pm3dof_pin.kinematics.coordinate_units import units_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.pose_search import Solution
+from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.programs.closing import Task, regularity_and_mode
 from pm3dof_pin.programs.llvm import Walked
 from pm3dof_pin.programs.llvm_ir import HISTORY
@@ -74,7 +74,7 @@ class Continuation:
         self._order = sorted(range(len(self._coordinates)), key=lambda k: self._coordinates[k].joint is None)
         self._offsets = np.array([c.offset for c in self._coordinates])
         self._scales = np.array([c.scale for c in self._coordinates])
-        self._units = units_of(mechanism, self._coordinates)
+        self._units = coordinate_scales(mechanism, self._coordinates)
         self._source = source = program_source(robot)
         self._task = Task(tuple(joint.name for joint in self._given), self._tool)
         self._step = source.walk(robot, self._task)

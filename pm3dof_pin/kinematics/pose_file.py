@@ -1,132 +1,97 @@
-"""Pose files: CSV with a column `name_deg`, `name_rad` or `name_m` for each coordinate or command of a robot."""
+"""Tables of poses: CSV files of coordinates, commands or placements of the tool, in any columns and units."""
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.arrays import frozen
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
-from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.files import csv_text, read_text, without_apostrophe
-from pm3dof_pin.typing import Array, Matrix
+from pm3dof_pin.arrays import require_choice
+from pm3dof_pin.csv_table import CsvTable
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, shown_in, tool_coordinates
+from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.files import csv_text
+from pm3dof_pin.kinematics.actuation import motion_components
+from pm3dof_pin.kinematics.mobility import generic_configuration
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.units import unit_slip
+from pm3dof_pin.mechanism.tool_components import tool_components
+from pm3dof_pin.typing import Array
 
-QUATERNION = ("qw", "qx", "qy", "qz")
-"""Headings of a unit quaternion, the orientation of the tool."""
+PLACEMENT = (*(f"{name}_m" for name in TOOL_COMPONENTS[:3]), "qw", "qx", "qy", "qz")
+"""Columns of a placement of the tool in the base: position [m] and unit quaternion."""
 
+BROKEN_LIMITS = "broken_limits"
+"""Column of words: the limits that a pose breaks."""
+
+_PLACEMENT_DIGITS = 1e-5  # agreement of a placement with the tool's motions [characteristic lengths, rad]
 UNIT_QUATERNION = 1e-2  # tolerance of the norm; more than the rounding of a few printed digits
+
+Given: TypeAlias = Literal["coordinates", "commands"]
+"""What a table gives of its poses; a placement of the tool stands for the coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
-class PoseFile:
-    """Values of coordinates (or commands) in a file."""
+class PoseTable:
+    """Poses of a file, and its other columns."""
 
-    path: Path  #: the file
-    columns: tuple[str, ...]  #: heading of each coordinate's column, in order of the coordinates
-    written: Matrix  #: the numbers of these columns, shape=(n, number of coordinates) [units of the columns]
-    values: Matrix  #: the same, shape=(n, number of coordinates) [m, rad]
-    unused: tuple[str, ...]  #: unused columns of the file
-    #: further requested columns of numbers that the file has, by heading, shape=(n,) each
-    numbers: Mapping[str, Array] = field(default_factory=dict)
-
-    @property
-    def columns_as_written(self) -> dict[str, Array]:
-        """The columns by heading, in the units of the file, shape=(n,) each."""
-        return dict(zip(self.columns, self.written.T, strict=True))
-
-    @classmethod
-    def read(
-        cls,
-        path: Path | str,
-        coordinates: Sequence[Coordinate],
-        *,
-        known: Sequence[str] = (),
-        numbers: Sequence[str] = (),
-    ) -> PoseFile:
-        """Read a CSV file of poses with a header; blank lines and lines starting with # are skipped.
-
-        Each coordinate has one column: `name_deg` or `name_rad` for an angle, `name_m` for a length. Columns `known`
-        are permitted, columns `numbers` are read if present.
-
-        Raises:
-            DescriptionError: the file is unreadable, a column is missing, unknown or duplicate, or an entry is not a
-                finite number.
-        """
-        path = Path(path)
-        lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1)]
-        lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
-        if not lines:
-            raise DescriptionError(path, "file", f"is empty, expected a header such as {_example_heading(coordinates)}")
-        try:
-            rows = [[without_apostrophe(cell.strip()) for cell in row] for row in csv.reader(line for _, line in lines)]
-        except csv.Error as error:
-            raise DescriptionError(path, "file", f"expected CSV ({error})") from error
-        heading = rows[0]
-        _require_known(path, heading, coordinates, (*known, *numbers))
-        columns = [_column(path, heading, coordinate, coordinates) for coordinate in coordinates]
-        columns += [name for name in numbers if name in heading]
-        written = np.empty((len(rows) - 1, len(columns)))
-        for row, (cells, (number, _)) in enumerate(zip(rows[1:], lines[1:], strict=True)):
-            if len(cells) != len(heading):
-                raise DescriptionError(path, f"line {number}", f"expected {len(heading)} entries, not {len(cells)}")
-            for k, column in enumerate(columns):
-                written[row, k] = _number(path, number, column, cells[heading.index(column)])
-        factors = [math.pi / 180.0 if column.endswith("_deg") else 1.0 for column in columns[: len(coordinates)]]
-        count = len(coordinates)
-        unused = tuple(name for name in heading if name not in columns)
-        values = written[:, :count] * factors
-        further = dict(zip(columns[count:], written[:, count:].T, strict=True))
-        return cls(path, tuple(columns[:count]), frozen(written[:, :count]), frozen(values), unused, further)
-
-    @classmethod
-    def read_placements(
-        cls, path: Path | str, *, known: Sequence[str] = (), numbers: Sequence[str] = ()
-    ) -> tuple[PoseFile, Array]:
-        """Read tool placements like :meth:`read`, in columns x_m, y_m, z_m, qw, qx, qy, qz; also return transforms.
-
-        Raises:
-            DescriptionError: as there; or a quaternion is missing or not of unit length.
-        """
-        position = [Coordinate(name, "m", tool=name) for name in TOOL_COMPONENTS[:3]]
-        file = cls.read(path, position, known=known, numbers=(*QUATERNION, *numbers))
-        if missing := [name for name in QUATERNION if name not in file.numbers]:
-            raise DescriptionError(
-                path, f"column {', '.join(missing)}", f"is missing, expected {', '.join(QUATERNION)}"
-            )
-        quaternions = np.stack([file.numbers[name] for name in QUATERNION], axis=-1)
-        lengths = np.linalg.norm(quaternions, axis=-1)
-        if not np.all(np.abs(lengths - 1.0) < UNIT_QUATERNION):
-            worst = lengths[np.abs(lengths - 1.0).argmax()]
-            raise DescriptionError(path, ", ".join(QUATERNION), f"a quaternion of length {worst:.6g}, expected 1")
-        transforms = np.zeros((len(quaternions), 4, 4))
-        transforms[:, :3, :3] = Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix()
-        transforms[:, :3, 3] = file.values
-        transforms[:, 3, 3] = 1.0
-        written = np.concatenate([file.written, quaternions], axis=1)
-        others = {name: values for name, values in file.numbers.items() if name not in QUATERNION}
-        return replace(file, columns=(*file.columns, *QUATERNION), written=frozen(written), numbers=others), transforms
-
-    @staticmethod
-    def gives_placements(path: Path | str) -> bool:
-        """Return whether a file contains tool placements with quaternions; False if it is unreadable."""
-        try:
-            lines = read_text(path).splitlines()
-        except DescriptionError:
-            return False
-        heading = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
-        return QUATERNION[0] in (name.strip() for name in heading.split(","))
+    poses: Poses  #: the poses, shape=(n,); NaN where they are out of reach, or were so when the file was written
+    columns: Mapping[str, Array]  #: the columns that give the poses, as written in the file, shape=(n,) each
+    others: Mapping[str, Array]  #: other columns of numbers, by name, in metres and radians, shape=(n,) each
 
 
-def _example_heading(coordinates: Sequence[Coordinate]) -> str:
-    """Return the header of a file with these coordinates."""
-    return ",".join(coordinate.heading for coordinate in coordinates)
+def read_poses(robot: Robot, path: Path | str, *, given: Given = "coordinates") -> PoseTable:
+    r"""Read a CSV file of poses and solve them.
+
+    A coordinate or command `name` has a column `name_deg` or `name_rad`, or `name_m` or `name_mm`; commands may also be
+    numbered, `u1_m`. A pose may be given by the placement of the tool instead, in columns x_m, y_m, z_m, qw, qx, qy,
+    qz. Other columns are allowed, so that what one command writes the next can read. A file without a header has the
+    coordinates in their order, angles in degrees and lengths in metres, separated by blanks or commas.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import pm3dof_pin as pm
+        >>> text = "theta_x_deg,theta_y_deg,z_e_m\n10,-15,0.5\n0,3,0.48\n"
+        >>> _ = Path("poses.csv").write_text(text)
+        >>> pm.read_poses(pm.load("pm3dof"), "poses.csv").poses.commands.shape
+        (2, 3)
+
+    Args:
+        robot: the robot.
+        path: the file.
+        given: what is read if the file has both; coordinates (or placements) give way to commands if it has none.
+
+    Raises:
+        MeasurementError: the file is unreadable, a column is missing or twice there, a row is incomplete, a quaternion
+            is not of unit length, or a column is in another unit.
+    """
+    require_choice("given", given, Given)
+    headless = [c.heading for c in (robot.coordinates if given == "coordinates" else robot.command_coordinates)]
+    table = CsvTable(Path(path), (), headings=headless, words=(BROKEN_LIMITS,))
+    commands = _columns(robot.command_coordinates, table)
+    if given == "coordinates" and set(PLACEMENT) <= set(table.header):
+        columns = PLACEMENT
+        poses = _poses_at(robot, _transforms(table, _rows(table, columns)))
+    elif given == "commands" or (not set(_headings(robot.coordinates)) & set(table.header) and commands):
+        columns = commands or _required(robot, table, robot.command_coordinates)
+        poses = robot.forward(_values(robot, table, robot.command_coordinates, columns), on_failure="nan")
+    else:
+        columns = _columns(robot.coordinates, table) or _required(robot, table, robot.coordinates)
+        poses = robot.solve(_values(robot, table, robot.coordinates, columns), on_failure="nan")
+    others = {name: values for name, values in table.columns.items() if name not in columns}
+    written = dict(zip(table.columns, table.written.items(), strict=True))
+    return PoseTable(poses, dict(written[name] for name in columns), others)
+
+
+def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Array]:
+    """Return columns of coordinate values, shape=(n, number of coordinates) [m, rad]; angles are in degrees there."""
+    return {c.heading: shown_in(c.unit)[0] * column for c, column in zip(coordinates, values.T, strict=True)}
 
 
 def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
@@ -138,28 +103,77 @@ def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
     return csv_text([tuple(columns), *zip(*cells, strict=True)])
 
 
-def _require_known(path: Path, heading: Sequence[str], coordinates: Sequence[Coordinate], known: Sequence[str]) -> None:
-    possible = {*known, *(name for coordinate in coordinates for name in coordinate.headings)}
-    if unknown := [name for name in heading if name not in possible]:
-        expected = f"is unknown, expected a header such as {_example_heading(coordinates)}"
-        raise DescriptionError(path, f"column {', '.join(unknown)}", expected)
+def _headings(coordinates: Sequence[Coordinate]) -> tuple[str, ...]:
+    return tuple(f"{coordinate.name}_{coordinate.unit}" for coordinate in coordinates)
 
 
-def _column(path: Path, heading: Sequence[str], coordinate: Coordinate, coordinates: Sequence[Coordinate]) -> str:
-    possible = coordinate.headings
-    found = [name for name in heading if name in possible]
-    if len(found) != 1:
-        problem = "is missing" if not found else "appears twice"
-        expected = f"{problem}, expected {' or '.join(possible)}; an example header is {_example_heading(coordinates)}"
-        raise DescriptionError(path, f"column {coordinate.name}", expected)
-    return found[0]
+def _columns(coordinates: Sequence[Coordinate], table: CsvTable) -> tuple[str, ...]:
+    """Return the columns of coordinates, or of numbered commands u1, u2 ...; none if the table lacks one."""
+    numbered = tuple(f"u{k}_{coordinate.unit}" for k, coordinate in enumerate(coordinates, start=1))
+    return next((names for names in (_headings(coordinates), numbered) if set(names) <= set(table.header)), ())
 
 
-def _number(path: Path, line: int, column: str, text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise DescriptionError(path, f"line {line}", f"{column} = {text}: expected a finite number")
-    return number
+def _required(robot: Robot, table: CsvTable, coordinates: Sequence[Coordinate]) -> tuple[str, ...]:
+    """Return no columns for a robot without coordinates; else name those that are missing."""
+    if not coordinates:
+        raise MeasurementError(table.path, f"{robot.name} has neither coordinates nor commands")
+    header = ",".join(coordinate.heading for coordinate in coordinates)
+    if not table.header:
+        raise MeasurementError(table.path, f"is empty, expected a header such as {header}")
+    missing = [c.heading for c, name in zip(coordinates, _headings(coordinates), strict=True) if name not in table]
+    by_tool = robot.tool_frame is not None and coordinates != robot.command_coordinates
+    whole = f", or {','.join(PLACEMENT)}" if by_tool else ""
+    problem = f"no column {', '.join(missing)}; expected a header such as {header}{whole}"
+    raise MeasurementError(table.path, problem, [table.header_line])
+
+
+def _values(robot: Robot, table: CsvTable, coordinates: Sequence[Coordinate], names: Sequence[str]) -> Array:
+    """Return values of coordinates, shape=(n, number of coordinates) [m, rad], after judging their units."""
+    values = _rows(table, names)
+    written = dict(zip(table.columns, table.written.items(), strict=True))
+    for coordinate, name, column in zip(coordinates, names, values.T, strict=True):
+        heading, numbers = written[name]
+        if heading == name and (slip := unit_slip(robot, coordinate, column)):
+            problem = f"{heading} = {numbers[slip.index]:.6g} looks like {slip.unit}; expected {slip.expected}"
+            raise MeasurementError(table.path, problem, [table.lines[slip.index]])
+    return values
+
+
+def _rows(table: CsvTable, names: Sequence[str]) -> Array:
+    """Return columns side by side; a row may be NaN throughout, as for poses out of reach, but not in part."""
+    values = table.matrix(names)
+    known = np.isfinite(values)
+    if (partly := known.any(axis=1) & ~known.all(axis=1)).any() or np.isinf(values).any():
+        wrong = partly | np.isinf(values).any(axis=1)
+        raise MeasurementError(table.path, f"expected finite numbers in {', '.join(names)}", table.lines_where(wrong))
+    return values
+
+
+def _poses_at(robot: Robot, transforms: Array) -> Poses:
+    """Solve placements of the tool.
+
+    With fewer than six degrees of freedom, digits of a file never fit all six numbers: such a tool is placed by as many
+    components of its placement as it has motions, and the others must agree.
+    """
+    components = motion_components(generic_configuration(robot.home))
+    if len(components) == len(TOOL_COMPONENTS):
+        return robot.reach(transforms, on_failure="nan")
+    chosen = [TOOL_COMPONENTS.index(component) for component in components]
+    placed = robot.replace(coordinates=tool_coordinates(components))
+    poses = placed.solve(tool_components(transforms)[:, chosen], on_failure="nan")
+    off = np.abs(poses.transforms - transforms)
+    off[:, :3, 3] /= robot.characteristic_length
+    agree = off.max(axis=(1, 2), initial=0.0) <= _PLACEMENT_DIGITS
+    return robot.at(np.where(agree[:, None], poses.q, np.nan))
+
+
+def _transforms(table: CsvTable, values: Array) -> Array:
+    lengths = np.linalg.norm(values[:, 3:], axis=1)
+    if (wrong := np.abs(lengths - 1.0) > UNIT_QUATERNION).any():
+        problem = f"{','.join(PLACEMENT[3:])} has length {lengths[wrong][0]:.6g}, expected 1"
+        raise MeasurementError(table.path, problem, table.lines_where(wrong))
+    transforms = np.full((len(values), 4, 4), np.nan)
+    for row in np.flatnonzero(np.isfinite(lengths)):
+        x, y, z, *parts = values[row].tolist()
+        transforms[row] = pin.SE3(pin.Quaternion(*parts).normalized(), np.array([x, y, z])).homogeneous
+    return transforms

@@ -12,10 +12,10 @@ from pm3dof_pin.arrays import require_count, require_kind, with_neighbours
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
-from pm3dof_pin.kinematics.coordinate_units import units_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.typing import Array, Mask
 
 _ROUNDS = 40
@@ -97,7 +97,7 @@ class _Draws:
 
     def __init__(self, robot: Robot, coordinates: tuple[Coordinate, ...], lower: Array, upper: Array) -> None:
         self._robot, self._coordinates, self._lower, self._upper = robot, coordinates, lower, upper
-        sizes = np.ceil((upper - lower) / (_NEAR * units_of(robot, coordinates)))
+        sizes = np.ceil((upper - lower) / (_NEAR * coordinate_scales(robot, coordinates)))
         self._sizes = np.maximum(sizes, 1.0).astype(int)
 
     @classmethod

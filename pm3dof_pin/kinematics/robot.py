@@ -28,12 +28,11 @@ from pm3dof_pin.exceptions import (
 from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.careful import assemble_at
-from pm3dof_pin.kinematics.coordinate_units import turns_of, units_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.pose_search import Solution, find_poses
 from pm3dof_pin.kinematics.poses import REACH, Poses
-from pm3dof_pin.kinematics.unit_sense import other_unit
+from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales, unit_slip
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.robot_description import read_source
@@ -474,7 +473,7 @@ class Robot(Mechanism):
         contradictions = None
         if len(placing) < len(coordinates):
             contradictions = self._contradictions(found.q, rows)
-            off = np.abs(contradictions / units_of(self, coordinates)).max(axis=1) > _CONTRADICTION
+            off = np.abs(contradictions / coordinate_scales(self, coordinates)).max(axis=1) > _CONTRADICTION
             found = Solution(np.where(off[:, None], np.nan, found.q))
         failed = np.flatnonzero(np.isnan(found.q[:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
@@ -493,13 +492,11 @@ class Robot(Mechanism):
         return engine
 
     def _require_unit(self, coordinate: Coordinate, values: ArrayLike) -> None:
-        """Refuse values that seem to be in another unit, see :func:`~pm3dof_pin.kinematics.unit_sense.other_unit`."""
-        lower, upper = self.range_of(coordinate)
-        if word := other_unit(values, coordinate.unit, lower, upper):
-            first = np.asarray(values, dtype=float).reshape(-1)[0]
-            unit = "metres" if coordinate.unit == "m" else "radians"
-            expected = f"{unit} from {lower:.4g} to {upper:.4g}; this looks like {word}"
-            raise InvalidValueError(coordinate.name, f"{first:.6g} {coordinate.unit}", expected)
+        """Refuse values in another unit, see :func:`~pm3dof_pin.kinematics.units.unit_slip`."""
+        if slip := unit_slip(self, coordinate, values):
+            number = np.asarray(values, dtype=float).reshape(-1)[slip.index]
+            problem = f"= {number:.6g} looks like {slip.unit}"
+            raise InvalidValueError(coordinate.name, problem=problem, expected=slip.expected)
 
     def _starts(self, guess: Configuration | ArrayLike, shape: tuple[int, ...]) -> Matrix:
         """Return a guess for each pose of a batch, flat."""
@@ -549,14 +546,14 @@ class Robot(Mechanism):
     def _contradictions(self, q: Matrix, commands: Matrix) -> Matrix:
         """Return the differences of the commands at q from those given, shape=(n, number of commands) [m, rad]."""
         coordinates = self.command_coordinates
-        differences, turns = self.read(coordinates, q) - commands, turns_of(self, coordinates)
+        differences, turns = self.read(coordinates, q) - commands, coordinate_periods(self, coordinates)
         angles = np.isfinite(turns)
         differences[:, angles] -= turns[angles] * np.round(differences[:, angles] / turns[angles])
         return differences
 
     def _contradicting(self, commands: Vector, off: Vector, which: str) -> UnreachablePoseError:
         coordinates, placing = self.command_coordinates, self._placing_drives
-        worst = int(np.argmax(np.abs(off / units_of(self, coordinates))))
+        worst = int(np.argmax(np.abs(off / coordinate_scales(self, coordinates))))
         name, unit = coordinates[worst].name, coordinates[worst].unit
         reason = (
             f"{', '.join(coordinates[k].name for k in placing)} alone determine the pose, with {name} at "

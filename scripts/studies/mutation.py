@@ -29,7 +29,7 @@ MODULES = {
     "description/inertia_checks.py": ["mechanism/test_description_checks.py"],
     "description/physical_bounds.py": ["mechanism/test_description_checks.py"],
     "description/own_files.py": ["export/test_meshes.py"],
-    "kinematics/unit_sense.py": ["kinematics/test_unit_sense.py"],
+    "kinematics/units.py": ["kinematics/test_units.py"],
     "kinematics/assembly.py": ["mechanism/test_assembly.py"],
     "kinematics/singularity.py": ["mechanism/test_singularity.py"],
     "kinematics/actuation.py": ["mechanism/test_actuation.py"],

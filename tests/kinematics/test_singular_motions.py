@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pm3dof_pin.kinematics.coordinate_units import turns_of
 
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.kinematics.coordinate_units import turns_of
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularities
 

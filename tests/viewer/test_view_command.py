@@ -126,7 +126,7 @@ def test_a_taken_port(run: Run) -> None:
         ),
         (["--robot", "hexapod", "0", "0", "0.135"], 2, "hexapod takes x"),
         (["10", "0", "0.5", "--path", "path.txt"], 2, "--path cannot be combined"),
-        (["--path", "missing.txt"], 1, "missing.txt: file: expected a readable file"),
+        (["--path", "missing.txt"], 1, "missing.txt: expected a readable file"),
         (["--host", "no such host.invalid"], 1, "cannot listen on no such host.invalid"),
     ],
 )
@@ -144,11 +144,11 @@ def test_bad_input_gives_one_clear_message(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("0 0 0.49\n0 0\n", "line 2: expected 3 numbers: theta_x [deg]"),
-        ("0 0 0.49\n\n# nothing\n1 2 three\n", "line 4: expected 3 numbers"),
+        ("0 0 0.49\n0 0\n", "line 2: 2 cells, expected 3 numbers: theta_x_deg"),
+        ("0 0 0.49\n\n# nothing\n1 2 three\n", "line 4: z_e_m is 'three', expected a number"),
         ("0 0 0.49\n0 0 inf\n", "line 2: expected finite numbers"),
         ("0 0 0.49\n", "at least two poses"),
-        ("0 0 0.49\n0 0 0.9\n", "between poses 1 and 2: pose theta_x = 0 deg"),
+        ("0 0 0.49\n0 0 0.9\n", "path.txt: pose 2 is out of reach"),
     ],
 )
 def test_bad_path_files(run: Run, text: str, words: str, tmp_path: Path) -> None:
