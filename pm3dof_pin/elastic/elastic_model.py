@@ -318,29 +318,33 @@ def _bows(spring: CantileverSpring) -> tuple[Bow, ...]:
     if spring.axial_stiffness is None:
         return ()
     length = None if isinstance(spring.length, JointLength) else spring.length / spring.elements
+    size = 6 if spring.shear_stiffness is None else 8
     return tuple(
         Bow(start + 2, frozen(start + np.array([0, 4, 1, 3])), spring.axial_stiffness, length)
-        for start in range(0, 6 * spring.elements, 6)
+        for start in range(0, size * spring.elements, size)
     )
 
 
 def _cantilever(spring: CantileverSpring) -> tuple[Matrix, NDArray[np.int64]]:
-    """Return coefficients and powers of L of the tip stiffness of an Euler-Bernoulli cantilever, z along the beam.
+    """Return coefficients and powers of L of the tip stiffness of a cantilever, z along the beam.
 
-    The inverse of the compliance L^3/(3 E I), L^2/(2 E I), L/(E I) of bending in each plane, L/(G J) and L/(E A).
+    The inverse of the compliance L^3/(3 E I), L^2/(2 E I), L/(E I) of bending in each plane, L/(G J) and L/(E A). Shear
+    in x and y, in series with them, has joints of its own with L/(k G A): a sum of powers of L in no entry.
     """
     ei = spring.bending_stiffness
-    coefficients, exponents = np.zeros((6, 6)), np.zeros((6, 6), dtype=np.int64)
+    coefficients, exponents = np.zeros((8, 8)), np.zeros((8, 8), dtype=np.int64)
     for translation, rotation, sign in ((0, 4, -1.0), (1, 3, 1.0)):
         pair = np.ix_([translation, rotation], [translation, rotation])
         coefficients[pair] = [[12.0 * ei, sign * 6.0 * ei], [sign * 6.0 * ei, 4.0 * ei]]
         exponents[pair] = [[-3, -2], [-2, -1]]
     coefficients[5, 5], exponents[5, 5] = spring.torsional_stiffness, -1
-    if spring.axial_stiffness is None:
-        kept = np.array([0, 1, 3, 4, 5])
-    else:
-        kept = np.arange(6)
+    kept = [0, 1, 3, 4, 5]
+    if spring.axial_stiffness is not None:
+        kept.insert(2, 2)
         coefficients[2, 2], exponents[2, 2] = spring.axial_stiffness, -1
+    if spring.shear_stiffness is not None:
+        kept += [6, 7]
+        coefficients[[6, 7], [6, 7]], exponents[[6, 7], [6, 7]] = spring.shear_stiffness, -1
     return coefficients[np.ix_(kept, kept)], exponents[np.ix_(kept, kept)]
 
 

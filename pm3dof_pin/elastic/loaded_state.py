@@ -249,6 +249,8 @@ def _deflection_out_of_range(model: ElasticModel, configuration: Configuration, 
         elif isinstance(spring, CantileverSpring):
             slides = 2 if spring.axial_stiffness is None else 3
             by = by.reshape(spring.elements, -1).max(axis=0)
+            if spring.shear_stiffness is not None:
+                by = np.concatenate([by[:2] + by[-2:], by[2:-2]])
             length = spring.length if isinstance(spring.length, float) else model.length(block, configuration)
         give, bend = by[:slides].max(initial=0.0), by[slides:].max(initial=0.0)
         if give > length:

@@ -4,9 +4,10 @@ An entry is a mapping with a `name`, a `type` and the keys of that type:
 
 - joint: a spring at a single-DoF joint; `joint`, `stiffness`, `unit` (N/m, or N m/rad).
 - axial: elastic along an axis; `at`, `axis`, `stiffness`, `unit: N/m`.
-- cantilever: the tip of an Euler-Bernoulli cantilever; `at`, `axis`, `bending_stiffness` (E I), `torsional_stiffness`
-  (G J), `unit: N m^2`, `length`, a number [m] or {joint, at_zero}; axially rigid unless there is `axial_stiffness` [N],
-  its E A; `elements`, the number of equal elements it is divided into, 1 by default.
+- cantilever: the tip of a cantilever; `at`, `axis`, `bending_stiffness` (E I), `torsional_stiffness` (G J),
+  `unit: N m^2`, `length`, a number [m] or {joint, at_zero}; axially rigid unless there is `axial_stiffness` [N], its
+  E A; rigid in shear (Euler-Bernoulli) unless there is `shear_stiffness` [N], its k G A (Timoshenko); `mass` [kg], the
+  part of the body before it that bends with it; `elements`, the number of equal elements, 1 by default.
 - beam: any 6 x 6 stiffness of a tip; `at`, `matrix`.
 - closure: an elastic loop closure; `closure`, its index in the list of closures, from 0; `matrix`, with a row for each
   component that the closure holds, 3 x 3 for type 3d, 6 x 6 for 6d.
@@ -84,7 +85,11 @@ class JointLength(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class CantileverSpring:
-    """The tip of a straight, uniform, slender cantilever (Euler-Bernoulli, small deflections)."""
+    """The tip of a straight, uniform cantilever: Timoshenko's beam, or Euler and Bernoulli's if rigid in shear.
+
+    Small deflections: the compliance is L^3 / (3 E I) + L / (k G A), L^2 / (2 E I), L / (E I), L / (G J) and L / (E A).
+    Its mass belongs to the rigid body before it; of that, what moves with the tip is counted there in vibration.
+    """
 
     name: str  #: its name
     at: str  #: joint or frame at the tip
@@ -96,14 +101,23 @@ class CantileverSpring:
     #: E A [N]; None for a beam that is axially rigid (or held axially by something else)
     axial_stiffness: float | None = None
     elements: int = 1  #: number of equal elements it is divided into, for large deflections and buckling
+    #: k G A [N], with the shear coefficient k of its section (G. Cowper, J. Applied Mechanics 33, 1966); None for a
+    #: slender beam, rigid in shear
+    shear_stiffness: float | None = None
+    #: mass of the beam [kg], contained in the body at its clamp. One element moves 33/140 of it with the tip, as in the
+    #: first mode of a uniform beam (J. Rayleigh); several have half of their part at either end
+    mass: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the numbers."""
         object.__setattr__(self, "axis", _unit_vector(self.axis))
         _require_positive("bending_stiffness", self.bending_stiffness)
         _require_positive("torsional_stiffness", self.torsional_stiffness)
-        if self.axial_stiffness is not None:
-            _require_positive("axial_stiffness", self.axial_stiffness)
+        for name in ("axial_stiffness", "shear_stiffness"):
+            if (value := getattr(self, name)) is not None:
+                _require_positive(name, value)
+        if not 0.0 <= self.mass < np.inf:
+            raise InvalidValueError("mass", self.mass, "a finite mass, not negative")
         if not isinstance(self.length, JointLength):
             _require_positive("length", self.length)
         if not 1 <= self.elements <= MOST_ELEMENTS:
@@ -176,6 +190,8 @@ class _Cantilever(_Entry):
     unit: Literal["N m^2"]
     axial_stiffness: Stiffness | None = None
     elements: int = 1
+    shear_stiffness: Stiffness | None = None
+    mass: float = 0.0
 
 
 class _Beam(_Entry):

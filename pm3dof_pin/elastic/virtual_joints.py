@@ -37,6 +37,8 @@ _JOINT_MODELS = {
     "rx": pin.JointModelRX,
     "ry": pin.JointModelRY,
     "rz": pin.JointModelRZ,
+    "shear_x": pin.JointModelPX,
+    "shear_y": pin.JointModelPY,
 }
 _POSITION_CONSTANTS = {"lowerPositionLimit": -np.inf, "upperPositionLimit": np.inf, "positionLimitMargin": 0.0}
 """With the values for virtual joints."""
@@ -46,6 +48,7 @@ _VELOCITY_CONSTANTS = (
     *("lowerDryFrictionLimit", "upperDryFrictionLimit", "damping", "armature", "rotorInertia", "rotorGearRatio"),
 )
 _NO_MASS = 1e-12
+_RAYLEIGH = 33.0 / 140.0  # of a uniform cantilever's mass, moves with its tip in its first mode
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +86,7 @@ class _Chain:
     motions: tuple[str, ...]
     axes: pin.SE3
     closure: int | None = None
+    mass: float = 0.0  #: of the body before it, moves with its last joint [kg]
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -99,13 +103,18 @@ def _chains(mechanism: Robot, spring: AxialSpring | CantileverSpring | BeamSprin
         return [_Chain(name, name, spring.at, ("z",), _axes_with_z_along(spring.axis))]
     if isinstance(spring, CantileverSpring):
         rigid = () if spring.axial_stiffness is not None else ("z",)
-        motions = tuple(motion for motion in TOOL_COMPONENTS if motion not in rigid)
+        motions: tuple[str, ...] = tuple(motion for motion in TOOL_COMPONENTS if motion not in rigid)
+        motions += () if spring.shear_stiffness is None else ("shear_x", "shear_y")
         axes, count = _axes_with_z_along(spring.axis), spring.elements
         if count == 1 or isinstance(spring.length, JointLength):
-            return [_Chain(name, name, spring.at, motions, axes)]
+            return [_Chain(name, name, spring.at, motions, axes, mass=_RAYLEIGH * spring.mass)]
         ends = -spring.length * (1.0 - np.arange(1, count + 1) / count)  # along the beam, from its tip
         places = [axes * pin.SE3(np.eye(3), np.array([0.0, 0.0, end])) for end in ends]
-        return [_Chain(name, f"{name}.{k}", spring.at, motions, place) for k, place in enumerate(places, start=1)]
+        masses = spring.mass / count * np.append(np.ones(count - 1), 0.5)
+        return [
+            _Chain(name, f"{name}.{k}", spring.at, motions, place, mass=mass)
+            for k, (place, mass) in enumerate(zip(places, masses.tolist(), strict=True), start=1)
+        ]
     if isinstance(spring, BeamSpring):
         return [_Chain(name, name, spring.at, TOOL_COMPONENTS, pin.SE3.Identity())]
     if spring.closure >= len(mechanism.closures):
@@ -278,15 +287,27 @@ class _Builder:
 
     def _share_out_what_hangs_on_pieces(self) -> None:
         for index, cut in self._cuts.items():
-            self._piece_above(index).cuts.append(cut)
+            piece = self._piece_above(index)
+            piece.cuts.append(cut)
+            self._take_masses(piece, cut.chains, cut.placement)
         frames = {frame.parentJoint: index for index, frame in enumerate(self._frames) if self._is_joint[index]}
         for joint in range(1, self._old.njoints):
             known = joint in frames
             piece = self._piece(frames[joint]) if known else self._bodies[self._old.parents[joint]]
             piece.joints.append(joint)
+            self._take_masses(piece, self._joint_chains.get(joint, []), self._old.jointPlacements[joint])
         for chain in self._chains:
             if chain.closure is not None:
                 self._piece(self._mechanism.frame_id(chain.place)).anchors.append(chain)
+
+    def _take_masses(self, piece: _Piece, chains: Sequence[_Chain], placement: pin.SE3) -> None:
+        """Take the masses that chains at a placement in the body carry out of the piece before them."""
+        for chain in chains:
+            if chain.mass and piece.body:  # what is fixed to the ground has no inertia
+                if chain.mass > piece.inertia.mass:
+                    raise self._error(chain, f"mass: the body before it has only {piece.inertia.mass:.4g} kg")
+                point = (placement * chain.axes).translation
+                piece.inertia = piece.inertia - pin.Inertia(chain.mass, point, np.zeros((3, 3)))
 
     def _grow(self, piece: _Piece) -> None:
         """Add everything attached to a piece, depth first, as Pinocchio's algorithms require."""
@@ -315,6 +336,10 @@ class _Builder:
             for name, motion in zip(chain.joints, chain.motions, strict=True):
                 parent = self._new.addJoint(parent, _JOINT_MODELS[motion](), placement, name)
                 placement = pin.SE3.Identity()
+            if chain.mass:
+                self._new.appendBodyToJoint(
+                    parent, pin.Inertia(chain.mass, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity()
+                )
             placement = chain.axes.inverse()
         return parent, placement
 
