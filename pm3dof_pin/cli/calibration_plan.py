@@ -124,7 +124,7 @@ def calibration_plan(
     from pm3dof_pin.errors.source_errors import ErrorSources
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import TARGET_RADIUS, TARGET_SIGMA, Instrument
-    from pm3dof_pin.measuring.plan_file import read_commands, write_plan
+    from pm3dof_pin.measuring.measurement_file import read_plan, write_plan
     from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 
     if accuracy is not None and (poses is not None or not 0.0 < accuracy < math.inf):
@@ -139,7 +139,7 @@ def calibration_plan(
         choices = (
             reachable_poses(errors.robot, candidates, generator, margin=margin)
             if among is None
-            else errors.robot.forward(read_commands(among, errors.robot))
+            else errors.robot.forward(read_plan(among, errors.robot)[0])
         )
         tests = reachable_poses(errors.robot, min(candidates, 300), generator)
         fitting = closing_errors(errors, choices[:20])

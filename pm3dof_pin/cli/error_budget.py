@@ -44,7 +44,7 @@ def map_budget(
     from pm3dof_pin.errors.error_budget import budget_as_data
     from pm3dof_pin.maps.error_budget_map import LEAST_SENSITIVE, budget_map
     from pm3dof_pin.maps.storage import write_map
-    from pm3dof_pin.measuring.plan_file import write_plan
+    from pm3dof_pin.measuring.measurement_file import write_plan
 
     dataset, budget = budget_map(sources, grid_or_poses, eta=eta, names=names)
     files = write_map(dataset, out / "error_budget")

@@ -58,8 +58,7 @@ def measure(
     from pm3dof_pin.exceptions import ConvergenceError, OutputError, UnreachablePoseError
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import Instrument
-    from pm3dof_pin.measuring.measurement_file import write_measurements
-    from pm3dof_pin.measuring.plan_file import read_plan
+    from pm3dof_pin.measuring.measurement_file import read_plan, write_measurements
     from pm3dof_pin.simulation.worlds import World
 
     if poses is not None and plan is not None:

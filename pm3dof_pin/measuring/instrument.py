@@ -14,6 +14,8 @@ Measured = Literal["pose", "position"]
 
 TARGET_SIGMA = 15e-6
 """Noise of each coordinate of a laser tracker's target [m]."""
+ENCODER_ZERO = {"m": 5e-3, "rad": 5e-2}
+"""Prior standard deviation of an encoder's zero, by the unit of its joint [m, rad]."""
 TARGET_COUNT = 4
 TARGET_RADIUS = 0.15
 """Distance of the targets from the tool point [m]."""

@@ -1,67 +1,86 @@
-"""Measurement files: reading them with checks, and writing them."""
+"""Files of measurements and of plans: their columns, reading them with checks, and writing them."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 
 from pm3dof_pin.csv_table import CsvTable, columns_as_text, is_condition
-from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion
-from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, rotation_vector
+from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.pose_file import UNIT_QUATERNION
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.command_columns import (
-    approach_columns,
-    command_columns,
-    commands_of,
-    start_columns,
-)
-from pm3dof_pin.measuring.encoders import encoder_column, encoder_joints, readings_of
-from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.measuring.plausibility import (
-    POINT_COLUMNS,
-    POSITION_COLUMNS,
-    QUATERNION_COLUMNS,
-    check_extent,
-    check_points,
-    check_positions,
-    check_rotations,
-    warn_of_copies,
-)
+from pm3dof_pin.measuring.instrument import ENCODER_ZERO, Instrument
+from pm3dof_pin.measuring.measurements import Measurements, joint_coordinates
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, fitted_sphere, register
 from pm3dof_pin.typing import Array, Mask
 
 TARGET_POINT_SIGMA = 1e-3
 """Default prior standard deviation of a file's target positions, per coordinate [m]."""
 
-DISTANCE_COLUMN, DISTANCE_SIGMA_COLUMN = "distance_m", "sigma_distance_m"
-_ORIGIN_COLUMNS = ("cx_m", "cy_m", "cz_m")
-_SPHERE_COLUMN = "sphere"
-_SIGMA_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
+_POSITION = ("x_m", "y_m", "z_m")
+_QUATERNION = ("qw", "qx", "qy", "qz")
+_POINT = ("px_m", "py_m", "pz_m")
+_SIGMAS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
+_DISTANCE, _DISTANCE_SIGMA = "distance_m", "sigma_distance_m"
+_ORIGIN = ("cx_m", "cy_m", "cz_m")
+_SPHERE, _TIME, _ENCODER = "sphere", "time_s", "encoder_"
 
-_TIME_COLUMN = "time_s"
 _SAME = 1e-9
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
-_LEAST_SIGMA = 1e-12  # [m, rad]
+_MIN_SIGMA = 1e-12  # [m, rad]
 _FAR_LESS = 1e-3  # relative to the other sigmas of a column: such a row would outweigh all others
-_LEAST_OF_A_SPHERE = 4  # rows
+_MIN_TOUCHES = 4  # of a sphere of unknown centre
+_BEYOND_LIMITS = 0.2  # of a joint's range
+_FAR_OFF = 0.05  # of the distance from the base to the tool: more than any tolerance explains
+_FAR_POINTS = 30.0  # times the machine's size
+_TURNED = 0.1  # [rad]: more than any tolerance explains
+_THOUSANDFOLD = 300.0
+_FAR_READING = 6.0  # times the standard deviation of an encoder's zero
+_OWN_FRAME = "use --own-frame for an instrument with its own frame"
+
+
+def command_columns(robot: Robot) -> tuple[str, ...]:
+    """Return the columns of the commands: u1_m, u2_m ... for linear drives, u1_rad ... for rotary ones."""
+    return tuple(f"u{k}_{unit}" for k, unit in enumerate((command.unit for command in robot.commands), start=1))
+
+
+def start_columns(robot: Robot) -> tuple[str, ...]:
+    """Return the columns of the commands at the pose where a distance starts: from_u1_m ..."""
+    return tuple(f"from_{name}" for name in command_columns(robot))
+
+
+def encoder_column(robot: Robot, joint: str) -> str:
+    """Return the column of a passive joint's readings, such as encoder_hinge1_left_joint_rad.
+
+    Raises:
+        InvalidValueError: the joint is driven or has several degrees of freedom.
+        JointNotFoundError: there is no such joint.
+    """
+    unit = robot.single_joint(joint).unit
+    if joint in robot.actuated_joints:
+        passive = ", ".join(robot.passive_joints) or "there is none"
+        raise InvalidValueError("encoder", joint, f"a passive joint: {passive}")
+    return f"{_ENCODER}{joint}_{unit}"
 
 
 def write_measurements(measurements: Measurements, robot: Robot, path: Path | str) -> Path:
     """Write measurements as CSV, atomically and at full precision; raise OutputError on failure."""
     columns: dict[str, Array] = dict(zip(command_columns(robot), measurements.commands.T, strict=True))
-    columns |= zip(POSITION_COLUMNS, measurements.positions.T, strict=True)
+    columns |= zip(_POSITION, measurements.positions.T, strict=True)
     if measurements.rotations is not None:
-        columns |= zip(QUATERNION_COLUMNS, quaternion(measurements.rotations).T, strict=True)
+        columns |= zip(_QUATERNION, quaternion(measurements.rotations).T, strict=True)
     if measurements.points.any():
-        columns |= zip(POINT_COLUMNS, measurements.points.T, strict=True)
-    columns |= zip(_SIGMA_COLUMNS, measurements.sigmas.T[: measurements.tool_columns], strict=False)
+        columns |= zip(_POINT, measurements.points.T, strict=True)
+    columns |= zip(_SIGMAS, measurements.sigmas.T[: measurements.tool_columns], strict=False)
     for k, joint in enumerate(measurements.joints):
         name, sigmas = encoder_column(robot, joint), measurements.sigmas[:, measurements.tool_columns + k]
         assert measurements.readings is not None
@@ -71,19 +90,48 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
         on_sphere = np.zeros(len(far), dtype=bool) if spheres is None else spheres >= 0
         fixed = (far & (measurements.partners < 0) & ~on_sphere)[:, None]
         begun = (far & (measurements.partners >= 0))[:, None]
-        columns |= {DISTANCE_COLUMN: measurements.distances}
-        columns |= {DISTANCE_SIGMA_COLUMN: np.where(far, measurements.sigmas[:, 0], np.nan)}
-        columns |= {_SIGMA_COLUMNS[0]: np.where(far, np.inf, measurements.sigmas[:, 0])}
-        columns |= zip(_ORIGIN_COLUMNS, np.where(fixed, measurements.origins, np.nan).T, strict=True)
+        columns |= {_DISTANCE: measurements.distances}
+        columns |= {_DISTANCE_SIGMA: np.where(far, measurements.sigmas[:, 0], np.nan)}
+        columns |= {_SIGMAS[0]: np.where(far, np.inf, measurements.sigmas[:, 0])}
+        columns |= zip(_ORIGIN, np.where(fixed, measurements.origins, np.nan).T, strict=True)
         starts = np.where(begun, measurements.commands[measurements.partners], np.nan)
         columns |= zip(start_columns(robot), starts.T, strict=True)
         if spheres is not None:
-            columns |= {_SPHERE_COLUMN: np.where(on_sphere, spheres, np.nan)}
+            columns |= {_SPHERE: np.where(on_sphere, spheres, np.nan)}
     if measurements.times is not None:
-        columns |= {_TIME_COLUMN: measurements.times}
+        columns |= {_TIME: measurements.times}
     if measurements.approaches is not None:
-        columns |= zip(approach_columns(robot), measurements.approaches.T, strict=True)
+        columns |= zip(_approach_columns(robot), measurements.approaches.T, strict=True)
     return write_text_atomically(path, columns_as_text(columns | measurements.conditions))
+
+
+def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None = None) -> Path:
+    """Write a plan as CSV at full precision: commands, loads by column, and nominal poses of the tool.
+
+    The nominal pose is that of the robot as described; the column names say that it is not a measurement.
+
+    Raises:
+        OutputError: the file cannot be written; no partial file is left.
+    """
+    columns: dict[str, Array] = dict(zip(command_columns(poses.robot), poses.commands.T, strict=True))
+    nominal = np.concatenate([poses.positions, quaternion(poses.rotations)], axis=1)
+    columns |= {f"nominal_{name}": values for name, values in zip((*_POSITION, *_QUATERNION), nominal.T, strict=True)}
+    return write_text_atomically(path, columns_as_text(columns | dict(loads or {})))
+
+
+def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
+    """Read a plan, or any file with commands: these, and temperatures and loads by column, shape=(n,).
+
+    Returns:
+        The commands, shape=(n, number of commands) [m, rad], and the conditions.
+
+    Raises:
+        MeasurementError: the file is unreadable, a column is missing, a cell is not a number, no row is left, or a
+            temperature or load is missing in some row.
+    """
+    table = CsvTable(Path(path), command_columns(robot))
+    table.keep(np.asarray(np.isfinite(table.matrix(command_columns(robot))).all(axis=1)))
+    return _commands(table, robot), table.conditions()
 
 
 def read_measurements(
@@ -135,43 +183,77 @@ def read_measurements(
     return replace(read, target_sigma=target_sigma, tool_point_sigma=tool_point_sigma)
 
 
+def _approach_columns(robot: Robot) -> tuple[str, ...]:
+    """Return the columns of the drives' approach directions: approach_u1, approach_u2 ..."""
+    return tuple(f"approach_u{k}" for k in range(1, len(robot.commands) + 1))
+
+
+def _commands(table: CsvTable, robot: Robot) -> Array:
+    """Return the commands, shape=(n, number of commands) [m, rad]; refuse those far outside the joints' limits."""
+    names = command_columns(robot)
+    commands = table.matrix(names)
+    lower, upper = np.array([robot.range_of(command) for command in robot.command_coordinates]).T
+    slack = np.where(np.isfinite(upper - lower), _BEYOND_LIMITS * (upper - lower), 0.0)
+    for k, name in enumerate(names):
+        unit = name.rsplit("_", 1)[1]
+        factor, other = (1e-3, "millimetres") if unit == "m" else (np.pi / 180.0, "degrees")
+        bad, looks = (
+            ~((values >= lower[k] - slack[k]) & (values <= upper[k] + slack[k]))
+            for values in (commands[:, k], factor * commands[:, k])
+        )
+        if bad.any():
+            problem = f"{name} is far outside the joint's limits {lower[k]:.6g} .. {upper[k]:.6g} {unit}"
+            if bad.mean() > 0.5 and looks[bad].mean() < 0.5:
+                problem += f": these look like {other}"
+            raise MeasurementError(table.path, problem, table.lines_where(bad))
+    still = [name for name in names if np.ptp(table[name]) == 0.0]
+    moving = [name for name in names if name not in still]
+    if moving and still:
+        table.warn(f"{', '.join(still)} {'are' if len(still) > 1 else 'is'} the same in every row, unlike the others")
+    for first, second in itertools.combinations(moving, 2):
+        if np.array_equal(table[first], table[second]):
+            table.warn(f"{first} and {second} have the same values in every row")
+    return commands
+
+
 class _Reader:
     """Reader of one file."""
 
     def __init__(self, path: Path, robot: Robot) -> None:
-        self._path, self._robot = path, robot
-        self._command_columns = command_columns(robot)
+        self._robot = robot
+        self._command_columns, self._start_columns = command_columns(robot), start_columns(robot)
         self._table = CsvTable(path, self._command_columns)
-        self._joints = encoder_joints(self._table, robot)
+        self._joints = self._encoder_joints()
         self._encoders = [encoder_column(robot, joint) for joint in self._joints]
         self._check_header()
         self._seen, whole = self._flags_of_measured()
-        whole &= np.isfinite(self._table.matrix(self._needed())).all(axis=1)
+        distances = (_DISTANCE, _DISTANCE_SIGMA, _SPHERE, *_ORIGIN, *self._start_columns)
+        encoders = (f"{sigma}{name}" for sigma in ("", "sigma_") for name in self._encoders)
+        may_be_empty = {*_POSITION, *_QUATERNION, *_SIGMAS, *distances, *encoders}
+        needed = [name for name in self._table.columns if name not in may_be_empty]
+        whole &= np.isfinite(self._table.matrix(needed)).all(axis=1)
         self._table.keep(whole)
         self._seen = self._seen[whole]
 
     def measurements(self, instrument: Instrument, own_frame: bool) -> Measurements:
         table = self._table
-        points = table.matrix(POINT_COLUMNS, missing=0.0)
-        whole = POSITION_COLUMNS if {*POSITION_COLUMNS} <= {*table.columns} else ()
-        measured = [name for name in (*whole, *QUATERNION_COLUMNS) if whole and name in table]
-        warn_of_copies(
-            table, np.hstack([table.matrix(self._command_columns), points, self._seen]), table.matrix(measured)
-        )
-        commands = commands_of(table, self._robot)
+        points = table.matrix(_POINT, missing=0.0)
+        self._warn_of_copies(points)
+        commands = _commands(table, self._robot)
         rotations = self._rotations()
-        check_points(table, points, self._robot.characteristic_length)
+        size, off = self._robot.characteristic_length, np.median(np.linalg.norm(points, axis=1))
+        if off > _FAR_POINTS * size:
+            self._refuse(f"{','.join(_POINT)} are {off:.3g} m (median) from the tool point: millimetres?")
         sigmas = self._sigmas(instrument, rotations is not None)
         nominal = self._nominal_poses(commands)
         expected = nominal.positions + np.einsum("nij,nj->ni", nominal.rotations, points)
         seen = self._seen[:, : sigmas.shape[1]]
         # coordinates that were not measured take the description's values, with zero weight
         positions = np.column_stack(
-            [np.where(seen[:, k], table.get(name, 0.0), expected[:, k]) for k, name in enumerate(POSITION_COLUMNS)]
+            [np.where(seen[:, k], table.get(name, 0.0), expected[:, k]) for k, name in enumerate(_POSITION)]
         )
         if rotations is not None:
-            seen_at_all = np.asarray(seen[:, 3:].any(axis=1))
-            rotations = np.where(seen_at_all[:, None, None], rotations, nominal.rotations)
+            rotations = np.where(seen[:, 3:].any(axis=1, keepdims=True)[:, :, None], rotations, nominal.rotations)
         sigmas = np.where(seen, sigmas, np.inf)
         registration = self._registration(expected, positions, nominal, rotations) if own_frame else None
         if registration is not None:
@@ -182,9 +264,9 @@ class _Reader:
             if rotations is not None:
                 rotations[turned] = registration.rotations(rotations[turned])
                 sigmas[turned, 3:] = registration.sigmas(sigmas[turned, 3:])
-        fits = check_positions(table, expected, positions)
+        placed_well = self._check_positions(expected, positions)
         if rotations is not None:
-            check_rotations(table, nominal, rotations, refuse=fits)
+            self._check_rotations(nominal, rotations, refuse=placed_well)
         found = Measurements(
             commands,
             positions,
@@ -195,12 +277,165 @@ class _Reader:
             tuple(table.lines),
             tuple(table.warnings),
             registration,
-            times=table.columns.get(_TIME_COLUMN),
+            times=table.columns.get(_TIME),
             approaches=self._approaches(commands),
         )
         if self._joints:
-            found = found.with_encoders(self._joints, *readings_of(table, self._joints, nominal, instrument))
+            found = found.with_encoders(self._joints, *self._readings(nominal, instrument))
         return self._with_distances(found, expected, instrument) if self._seen[:, 6].any() else found
+
+    def _refuse(self, problem: str, flags: Any = None) -> NoReturn:
+        raise MeasurementError(self._table.path, problem, () if flags is None else self._table.lines_where(flags))
+
+    def _encoder_joints(self) -> dict[str, str]:
+        """Return the joints with readings, and their units, in the order of the columns."""
+        robot, header, columns = self._robot, self._table.header, {}
+        for joint in robot.passive_joints:
+            with contextlib.suppress(InvalidValueError):  # several degrees of freedom
+                columns[encoder_column(robot, joint)] = joint
+        names = [name for name in header if name.removeprefix("sigma_").startswith(_ENCODER)]
+        if wrong := [name for name in names if name.removeprefix("sigma_") not in columns]:
+            expected = ", ".join(columns) or f"none: {robot.name} has no passive joint"
+            self._refuse(f"line 1: {', '.join(wrong)}: expected columns of passive joints, {expected}")
+        return {columns[name]: robot.single_joint(columns[name]).unit for name in names if name in columns}
+
+    def _check_header(self) -> None:
+        """Require the columns that belong together, and warn of others.
+
+        Some positions alone, or orientations alone, are enough if no other column could hold the rest.
+        """
+        header, approaches = self._table.header, _approach_columns(self._robot)
+        positions = tuple(name for name in _POSITION if name in header)
+        beside = (*_POINT, *_SIGMAS[:3]) if positions else (*_QUATERNION, *_SIGMAS[3:])
+        known = {*self._command_columns, *positions, *beside, _TIME, *approaches}
+        alone = all(name in known or is_condition(name) for name in header)
+        if not (_DISTANCE in header or self._encoders or (alone and (positions or _QUATERNION[0] in header))):
+            positions = _POSITION
+        expected = [*self._command_columns, *positions]
+        for group in (
+            (_DISTANCE,),
+            (_DISTANCE_SIGMA,),
+            (_SPHERE,),
+            (_TIME,),
+            _ORIGIN,
+            _QUATERNION,
+            _POINT,
+            self._start_columns,
+            tuple(f"sigma_{name}" for name in positions),
+            _SIGMAS[3:],
+            approaches,
+            *((f"{sigma}{encoder}",) for encoder in self._encoders for sigma in ("", "sigma_")),
+        ):
+            if set(group) & set(header):
+                expected += group
+        self._table.require(expected)
+        unknown = [name for name in header if name not in expected and not is_condition(name)]
+        if unknown:
+            angles = _QUATERNION[0] not in header and any(name.endswith("_rad") for name in unknown)
+            hint = f"; an orientation is expected in {','.join(_QUATERNION)}" if angles else ""
+            self._table.warn(f"columns {', '.join(unknown)} are not used{hint}")
+
+    def _flags_of_measured(self) -> tuple[Mask, Mask]:
+        """Complete the measured columns, and return flags of what was measured: x, y, z, angles, distance, encoders.
+
+        A coordinate was not measured if it has no column or an infinite sigma; a position, orientation or distance was
+        not measured in a row in which all its cells are empty.
+
+        Returns:
+            The flags, shape=(n, 7 + encoders); and whether a row has any measurement, and no incomplete one.
+        """
+        table = self._table
+        seen = np.zeros((len(table), 7 + len(self._encoders)), dtype=bool)
+        broken = np.zeros(len(table), dtype=bool)
+        infinite = np.column_stack([np.isposinf(table.get(name, 0.0)) for name in _SIGMAS])
+        if present := [name for name in _POSITION if name in table]:
+            given = np.asarray(~np.isnan(table.matrix(present)).all(axis=1))
+            for name in present:
+                place = _POSITION.index(name)
+                seen[:, place] = given & ~infinite[:, place]
+                broken |= seen[:, place] & ~np.isfinite(table[name])
+        if _QUATERNION[0] in table:
+            cells = table.matrix(_QUATERNION)
+            given = np.asarray(~np.isnan(cells).all(axis=1))
+            broken |= given & ~np.isfinite(cells).all(axis=1)
+            seen[:, 3:6] = given[:, None] & ~infinite[:, 3:]
+            table.columns |= zip(_QUATERNION, np.where(given[:, None], cells, [1.0, 0.0, 0.0, 0.0]).T, strict=True)
+        for place, name in enumerate([_DISTANCE, *self._encoders], start=6):
+            if name in table:
+                seen[:, place] = ~np.isnan(table[name]) & ~np.isposinf(table.get(f"sigma_{name}", 0.0))
+                broken |= seen[:, place] & ~np.isfinite(table[name])
+        return seen, seen.any(axis=1) & ~broken
+
+    def _warn_of_copies(self, points: Array) -> None:
+        """Warn of rows that repeat others, entirely or in everything measured at other commands."""
+        table = self._table
+        rows = table.matrix(list(table.columns))
+        first: dict[bytes, int] = {}
+        copies = [n for n, row in zip(table.lines, rows, strict=True) if first.setdefault(row.tobytes(), n) != n]
+        if copies:
+            table.warn("copies of earlier lines; each copy counts", copies)
+        places = np.hstack([table.matrix(self._command_columns), points, self._seen])
+        if {*_POSITION} <= {*table.columns}:
+            measured = table.matrix([name for name in (*_POSITION, *_QUATERNION) if name in table])
+            _, origin, again = np.unique(np.round(measured / _SAME), axis=0, return_index=True, return_inverse=True)
+            elsewhere = np.any(places != places[origin[again.reshape(-1)]], axis=1)
+            if elsewhere.any():
+                problem = "measurements repeat those of other lines to the last digit, at other commands"
+                table.warn(f"{problem}: stale or copied?", table.lines_where(elsewhere))
+        distinct = len(np.unique(np.round(places / _SAME), axis=0))
+        if distinct < len(rows) - len(copies):
+            table.warn(f"{len(rows)} rows at {distinct} different commands: the others repeat one")
+
+    def _rotations(self) -> Array | None:
+        if _QUATERNION[0] not in self._table:
+            return None
+        quaternions = self._table.matrix(_QUATERNION)
+        norms = np.linalg.norm(quaternions, axis=1)
+        bad = np.abs(norms - 1.0) > UNIT_QUATERNION
+        if bad.any():
+            problem = f"is not a rotation: its length is {norms[bad][0]:.6g}, expected 1"
+            self._refuse(f"{','.join(_QUATERNION)} {problem}", bad)
+        return rotation_of_quaternion(quaternions)
+
+    def _sigmas(self, instrument: Instrument, poses: bool) -> Array:
+        count = 6 if poses else 3
+        usual = np.repeat([instrument.position_sigma, instrument.angle_sigma], 3)[:count]
+        sigmas = np.column_stack([self._table.get(name, usual[k]) for k, name in enumerate(_SIGMAS[:count])])
+        sigmas = np.where(np.isnan(sigmas), usual, sigmas)
+        bad = ~(sigmas > 0.0).all(axis=1)
+        if bad.any():
+            self._refuse("a sigma is not positive", bad)
+        for name, column in zip(_SIGMAS, sigmas.T, strict=False):
+            finite = column[np.isfinite(column)]
+            middle, unit = float(np.median(finite)) if finite.size else 0.0, name.rsplit("_", 1)[1]
+            tiny = column < max(_MIN_SIGMA, _FAR_LESS * middle)
+            if tiny.any():
+                problem = f"{name} is {column[tiny][0]:.3g} {unit}, nearly zero: no instrument is that accurate"
+                self._refuse(problem, tiny)
+            if middle > _LARGE_SIGMA[unit]:
+                other = "millimetres" if unit == "m" else "degrees"
+                self._table.warn(f"{name} is {middle:.3g} {unit} (median), which is very large: {other}?")
+        return sigmas
+
+    def _nominal_poses(self, commands: Array) -> Poses:
+        poses = self._robot.forward(commands, on_failure="nan")
+        if poses.solved.all():
+            return poses
+        problem = f"{self._robot.name} cannot reach these commands"
+        # of several drives that could count the other way, the one that brings the tool nearest to its measured place
+        mirrored = 2.0 * self._robot.home.commands - commands
+        turned = {"all drives": mirrored}
+        drives = np.eye(commands.shape[1], dtype=bool)
+        turned |= {f"u{k + 1}": np.where(one, mirrored, commands) for k, one in enumerate(drives)}
+        found = {name: self._robot.forward(other, on_failure="nan") for name, other in turned.items()}
+        found = {name: other for name, other in found.items() if other.solved.all()}
+        if found and {*_POSITION} <= {*self._table.columns}:
+            seen = self._table.matrix(_POSITION)
+            off = {name: np.nanmedian(np.linalg.norm(each.positions - seen, axis=1)) for name, each in found.items()}
+            found = {(nearest := min(off, key=lambda name: off[name])): found[nearest]}
+        if found:
+            problem += f", but could if {' or '.join(found)} counted the other way"
+        self._refuse(problem, ~poses.solved)
 
     def _registration(
         self, expected: Array, positions: Array, nominal: Poses, rotations: Array | None
@@ -214,42 +449,105 @@ class _Reader:
         if (some & ~whole & ~seen[:, :3].all(axis=1)).any() or not whole.any():
             # single coordinates, such as heights above a bed, are along axes close to the base's
             return AT_THE_BASE
-        check_extent(self._table, expected[whole], positions[whole])
+        spreads = [
+            np.median(np.linalg.norm(points[whole] - np.median(points[whole], axis=0), axis=1))
+            for points in (positions, expected)
+        ]
+        if spreads[0] > _THOUSANDFOLD * spreads[1]:
+            problem = "look like millimetres: they spread a thousand times as far as the machine moves"
+            self._refuse(f"{','.join(_POSITION)} {problem}")
         turned = (None, None) if rotations is None else (rotations[whole], nominal.rotations[whole])
         return register(positions[whole], expected[whole], *turned)
+
+    def _check_positions(self, expected: Array, positions: Array) -> bool:
+        """Refuse positions in millimetres, warn of those out of reach, and tell whether most are within it."""
+        size = max(float(np.median(np.linalg.norm(expected, axis=1))), 1e-3)
+        if np.median(np.linalg.norm(1e-3 * positions - expected, axis=1)) < _FAR_OFF * size:
+            problem = "look like millimetres: a thousandth of them is where the machine is"
+            self._refuse(f"{','.join(_POSITION)} {problem}")
+        distances = np.linalg.norm(positions - expected, axis=1)
+        far = distances > _FAR_OFF * size
+        if far.mean() > 0.5:
+            self._table.warn(
+                f"positions are {np.median(distances):.3g} m (median) from where the description has the machine: "
+                f"other axes, another zero of the commands or another tool point? {_OWN_FRAME}"
+            )
+        elif far.any():
+            lines = self._table.lines_where(far)
+            self._table.warn(f"positions are more than {_FAR_OFF * size:.2g} m from where the machine can be", lines)
+        return bool(far.mean() <= 0.5)
+
+    def _check_rotations(self, nominal: Poses, rotations: Array, *, refuse: bool) -> None:
+        """Warn of orientations out of reach; if everything else fits, refuse another order of the quaternion."""
+
+        def angles(seen: Array) -> Array:
+            return np.asarray(np.linalg.norm(rotation_vector(np.swapaxes(nominal.rotations, 1, 2) @ seen), axis=1))
+
+        turned = angles(rotations)
+        middle = np.median(turned)
+        if middle <= _TURNED:
+            if (far := turned > _TURNED).any():
+                problem = f"orientations are more than {_TURNED:g} rad from where the machine can be"
+                self._table.warn(problem, self._table.lines_where(far))
+            return
+        scalar_last = rotation_of_quaternion(np.roll(self._table.matrix(_QUATERNION), 1, axis=1))
+        inverse = "are inverse rotations, of the base in the tool's axes: expected those of the tool in the base"
+        others = {"are in the order x, y, z, w": scalar_last, inverse: np.swapaxes(rotations, 1, 2)}
+        for problem, seen in others.items():
+            if refuse and np.median(angles(seen)) < min(_TURNED, 0.1 * middle):
+                self._refuse(f"{','.join(_QUATERNION)} {problem}")
+        self._table.warn(
+            f"orientations are {middle:.3g} rad (median) from where the description has the machine: other axes of the "
+            f"base or of the tool? {_OWN_FRAME}"
+        )
+
+    def _readings(self, nominal: Poses, instrument: Instrument) -> tuple[Array, Array]:
+        """Return encoder readings and their noise, infinite for empty cells, shape=(n, joints) each [m, rad]."""
+        expected = joint_coordinates(nominal, tuple(self._joints))
+        readings, sigmas = expected.copy(), np.full_like(expected, np.inf)
+        for k, (column, unit) in enumerate(zip(self._encoders, self._joints.values(), strict=True)):
+            seen = np.isfinite(self._table[column])
+            usual = instrument.position_sigma if unit == "m" else instrument.angle_sigma
+            given = self._table.get(f"sigma_{column}", usual)
+            if (bad := seen & ~(given > 0.0)).any():
+                self._refuse(f"sigma_{column} is not positive", bad)
+            readings[seen, k], sigmas[seen, k] = self._table[column][seen], given[seen]
+            far = np.abs(readings[seen, k] - expected[seen, k])
+            if seen.any() and np.median(far) > _FAR_READING * ENCODER_ZERO[unit]:
+                self._refuse(
+                    f"{column} is {np.median(far):.3g} {unit} (median) from the described position of the joint: "
+                    "another unit, zero, direction or joint?"
+                )
+        return readings, sigmas
 
     def _with_distances(self, found: Measurements, expected: Array, instrument: Instrument) -> Measurements:
         """Return measurements with their distances; the poses where some start become rows without measurements."""
         count, table, far = len(found), self._table, self._seen[:, 6]
         both = far & np.delete(self._seen, 6, axis=1).any(axis=1)
         if both.any():
-            problem = f"a row has {DISTANCE_COLUMN} and other measurements, expected a row for each"
-            raise MeasurementError(self._path, problem, table.lines_where(both))
-        origins = table.matrix(_ORIGIN_COLUMNS, missing=np.nan)
+            self._refuse(f"a row has {_DISTANCE} and other measurements, expected a row for each", both)
+        origins = table.matrix(_ORIGIN, missing=np.nan)
         starts = found.commands * np.nan
-        if (columns := start_columns(self._robot))[0] in table:
-            starts = table.matrix(columns)
-        spheres = np.nan_to_num(table.get(_SPHERE_COLUMN, np.nan), nan=-1.0).astype(np.intp)
+        if self._start_columns[0] in table:
+            starts = table.matrix(self._start_columns)
+        spheres = np.nan_to_num(table.get(_SPHERE, np.nan), nan=-1.0).astype(np.intp)
         fixed, begun, on_sphere = np.isfinite(origins).all(axis=1), np.isfinite(starts).all(axis=1), spheres >= 0
         unclear = far & (fixed.astype(int) + begun + on_sphere != 1)
         if unclear.any():
-            origins_in_words = f"{','.join(_ORIGIN_COLUMNS)} or {','.join(columns)} or the number of a {_SPHERE_COLUMN}"
-            problem = f"{DISTANCE_COLUMN} needs one starting point: expected {origins_in_words}"
-            raise MeasurementError(self._path, problem, table.lines_where(unclear))
+            choices = f"{','.join(_ORIGIN)} or {','.join(self._start_columns)} or the number of a {_SPHERE}"
+            self._refuse(f"{_DISTANCE} needs one starting point: expected {choices}", unclear)
         if found.registration is not None and fixed.any():
             origins[fixed] = found.registration.positions(origins[fixed])
         for number in np.unique(spheres[far & on_sphere]):
-            rows = np.flatnonzero(far & (spheres == number))
-            if len(rows) < _LEAST_OF_A_SPHERE:
-                problem = f"{_SPHERE_COLUMN} {number} has {len(rows)} rows, expected {_LEAST_OF_A_SPHERE} or more"
-                raise MeasurementError(self._path, problem, table.lines_where(far & (spheres == number)))
-            origins[rows] = fitted_sphere(expected[rows], table[DISTANCE_COLUMN][rows])
-        sigmas = found.sigmas.copy()
-        given = table.get(DISTANCE_SIGMA_COLUMN, instrument.position_sigma)
+            touching = far & (spheres == number)
+            if touching.sum() < _MIN_TOUCHES:
+                self._refuse(f"{_SPHERE} {number} has {touching.sum()} rows, expected {_MIN_TOUCHES} or more", touching)
+            origins[touching] = fitted_sphere(expected[touching], table[_DISTANCE][touching])
+        sigmas, given = found.sigmas.copy(), table.get(_DISTANCE_SIGMA, instrument.position_sigma)
+        if not (given[far] > 0.0).all():
+            self._refuse(f"{_DISTANCE_SIGMA} is not positive", far)
         sigmas[far] = np.inf
         sigmas[far, 0] = given[far]
-        if not (given[far] > 0.0).all():
-            raise MeasurementError(self._path, f"{DISTANCE_SIGMA_COLUMN} is not positive", table.lines_where(far))
         begins = np.flatnonzero(far & begun)
         rows = np.concatenate([np.arange(count), begins])
         whole = replace(found, sigmas=sigmas)[rows]
@@ -258,7 +556,7 @@ class _Reader:
         commands, unseen = whole.commands.copy(), whole.sigmas.copy()
         commands[count:] = starts[begins]
         unseen[count:] = np.inf
-        distances = np.where(far, table[DISTANCE_COLUMN], np.nan)
+        distances = np.where(far, table[_DISTANCE], np.nan)
         return replace(
             whole,
             commands=commands,
@@ -270,167 +568,19 @@ class _Reader:
         )
 
     def _approaches(self, commands: Array) -> Array | None:
-        names = approach_columns(self._robot)
+        names = _approach_columns(self._robot)
         if names[0] in self._table:
             approaches = self._table.matrix(names)
             wrong = ~np.isin(approaches, (-1.0, 0.0, 1.0)).all(axis=1)
             if wrong.any():
-                problem = f"{','.join(names)} are not directions: expected 1, -1, or 0 for unknown"
-                raise MeasurementError(self._path, problem, self._table.lines_where(wrong))
+                self._refuse(f"{','.join(names)} are not directions: expected 1, -1, or 0 for unknown", wrong)
             return approaches
-        if _TIME_COLUMN not in self._table:
+        if _TIME not in self._table:
             return None
-        order = np.argsort(self._table[_TIME_COLUMN], kind="stable")
+        order = np.argsort(self._table[_TIME], kind="stable")
         approaches, last = np.zeros_like(commands), np.zeros(commands.shape[1])
         for before, row in itertools.pairwise(order):
             moved = commands[row] - commands[before]
             last = np.where(np.abs(moved) > _SAME, np.sign(moved), last)
             approaches[row] = last
         return approaches
-
-    def _check_header(self) -> None:
-        header = self._table.header
-        measured = self._measured_columns(header)
-        expected = [*self._command_columns, *measured]
-        for group in (
-            _ORIGIN_COLUMNS,
-            start_columns(self._robot),
-            (DISTANCE_SIGMA_COLUMN,),
-            (_SPHERE_COLUMN,),
-            QUATERNION_COLUMNS,
-            POINT_COLUMNS,
-            tuple(f"sigma_{name}" for name in POSITION_COLUMNS if name in measured),
-            _SIGMA_COLUMNS[3:],
-            (_TIME_COLUMN,),
-            approach_columns(self._robot),
-            *((name,) for encoder in self._encoders for name in (encoder, f"sigma_{encoder}")),
-        ):
-            if set(group) & set(header):
-                expected += group
-        self._table.require(expected)
-        unknown = [name for name in header if name not in expected and not is_condition(name)]
-        if unknown:
-            angles = QUATERNION_COLUMNS[0] not in header and any(name.endswith("_rad") for name in unknown)
-            hint = f"; an orientation is expected in {','.join(QUATERNION_COLUMNS)}" if angles else ""
-            self._table.warn(f"columns {', '.join(unknown)} are not used{hint}")
-
-    def _measured_columns(self, header: list[str]) -> tuple[str, ...]:
-        """Return the measured columns that the file must have.
-
-        Some positions alone, or orientations alone, are enough if no other column could hold the rest.
-        """
-        positions = tuple(name for name in POSITION_COLUMNS if name in header)
-        if DISTANCE_COLUMN in header:
-            return (*positions, DISTANCE_COLUMN)
-        if self._encoders:
-            return positions
-        beside = (*POINT_COLUMNS, *_SIGMA_COLUMNS[:3]) if positions else (*QUATERNION_COLUMNS, *_SIGMA_COLUMNS[3:])
-        known = {*self._command_columns, *positions, *beside, _TIME_COLUMN, *approach_columns(self._robot)}
-        some = positions or QUATERNION_COLUMNS[0] in header
-        alone = some and all(name in known or is_condition(name) for name in header)
-        return positions if alone else POSITION_COLUMNS
-
-    def _flags_of_measured(self) -> tuple[Mask, Mask]:
-        """Complete the measured columns, and return flags of what was measured: x, y, z, angles, distance, encoders.
-
-        A coordinate was not measured if it has no column or an infinite sigma; a position, orientation or distance was
-        not measured in a row in which all its cells are empty.
-
-        Returns:
-            The flags, shape=(n, 7 + encoders); and whether a row has any measurement, and no incomplete one.
-        """
-        table = self._table
-        count = len(table)
-        infinite = np.column_stack([np.isposinf(table.get(name, 0.0)) for name in _SIGMA_COLUMNS])
-        seen, broken = np.zeros((count, 7 + len(self._encoders)), dtype=bool), np.zeros(count, dtype=bool)
-        if present := [name for name in POSITION_COLUMNS if name in table]:
-            given = np.asarray(~np.isnan(table.matrix(present)).all(axis=1))
-            for name in present:
-                place = POSITION_COLUMNS.index(name)
-                seen[:, place] = given & ~infinite[:, place]
-                broken |= seen[:, place] & ~np.isfinite(table[name])
-        if QUATERNION_COLUMNS[0] in table:
-            cells = table.matrix(QUATERNION_COLUMNS)
-            given = np.asarray(~np.isnan(cells).all(axis=1))
-            broken |= given & ~np.isfinite(cells).all(axis=1)
-            seen[:, 3:6] = given[:, None] & ~infinite[:, 3:]
-            whole = np.where(given[:, None], cells, [1.0, 0.0, 0.0, 0.0])
-            table.columns |= dict(zip(QUATERNION_COLUMNS, whole.T, strict=True))
-        if DISTANCE_COLUMN in table:
-            seen[:, 6] = ~np.isnan(table[DISTANCE_COLUMN])
-            broken |= seen[:, 6] & ~np.isfinite(table[DISTANCE_COLUMN])
-        for place, name in enumerate(self._encoders, start=7):
-            seen[:, place] = ~np.isnan(table[name]) & ~np.isposinf(table.get(f"sigma_{name}", 0.0))
-            broken |= seen[:, place] & ~np.isfinite(table[name])
-        return seen, seen.any(axis=1) & ~broken
-
-    def _needed(self) -> list[str]:
-        """Return the columns that must not have empty cells."""
-        distances = {
-            DISTANCE_COLUMN,
-            DISTANCE_SIGMA_COLUMN,
-            _SPHERE_COLUMN,
-            *_ORIGIN_COLUMNS,
-            *start_columns(self._robot),
-        }
-        encoders = {f"{sigma}{name}" for sigma in ("", "sigma_") for name in self._encoders}
-        may_be_empty = {*POSITION_COLUMNS, *QUATERNION_COLUMNS, *_SIGMA_COLUMNS, *distances, *encoders}
-        return [name for name in self._table.columns if name not in may_be_empty]
-
-    def _nominal_poses(self, commands: Array) -> Poses:
-        poses = self._robot.forward(commands, on_failure="nan")
-        if poses.solved.all():
-            return poses
-        problem = f"{self._robot.name} cannot reach these commands"
-        if turned := self._drives_that_count_backwards(commands):
-            problem += f", but could if {turned} counted the other way"
-        raise MeasurementError(self._path, problem, self._table.lines_where(~poses.solved))
-
-    def _drives_that_count_backwards(self, commands: Array) -> str:
-        """Return the drives that would make the commands reachable by counting the other way; "" if none would.
-
-        Of several choices, the one that brings the tool nearest to its measured position, or all if it has none.
-        """
-        mirrored, every = 2.0 * self._robot.home.commands - commands, np.ones(commands.shape[1], dtype=bool)
-        turned = {"all drives": mirrored}
-        turned |= {f"u{k + 1}": np.where(one, mirrored, commands) for k, one in enumerate(np.diag(every))}
-        found = {name: self._robot.forward(other, on_failure="nan") for name, other in turned.items()}
-        found = {name: poses for name, poses in found.items() if poses.solved.all()}
-        if not {*POSITION_COLUMNS} <= {*self._table.columns}:
-            return " or ".join(found)
-        seen = self._table.matrix(POSITION_COLUMNS)
-        off = {name: np.nanmedian(np.linalg.norm(poses.positions - seen, axis=1)) for name, poses in found.items()}
-        return min(off, key=lambda name: off[name], default="")
-
-    def _rotations(self) -> Array | None:
-        if QUATERNION_COLUMNS[0] not in self._table:
-            return None
-        quaternions = self._table.matrix(QUATERNION_COLUMNS)
-        norms = np.linalg.norm(quaternions, axis=1)
-        bad = np.abs(norms - 1.0) > UNIT_QUATERNION
-        if bad.any():
-            problem = f"is not a rotation: its length is {norms[bad][0]:.6g}, expected 1"
-            lines = self._table.lines_where(bad)
-            raise MeasurementError(self._path, f"{','.join(QUATERNION_COLUMNS)} {problem}", lines)
-        return rotation_of_quaternion(quaternions)
-
-    def _sigmas(self, instrument: Instrument, poses: bool) -> Array:
-        count = 6 if poses else 3
-        names = _SIGMA_COLUMNS[:count]
-        usual = np.repeat([instrument.position_sigma, instrument.angle_sigma], 3)[:count]
-        sigmas = np.column_stack([self._table.get(name, usual[k]) for k, name in enumerate(names)])
-        sigmas = np.where(np.isnan(sigmas), usual, sigmas)
-        bad = ~(sigmas > 0.0).all(axis=1)
-        if bad.any():
-            raise MeasurementError(self._path, "a sigma is not positive", self._table.lines_where(bad))
-        for k, name in enumerate(names):
-            unit = name.rsplit("_", 1)[1]
-            finite = sigmas[np.isfinite(sigmas[:, k]), k]
-            tiny = sigmas[:, k] < max(_LEAST_SIGMA, _FAR_LESS * float(np.median(finite)) if finite.size else 0.0)
-            if tiny.any():
-                problem = f"{name} is {sigmas[tiny, k][0]:.3g} {unit}, nearly zero: no instrument is that accurate"
-                raise MeasurementError(self._path, problem, self._table.lines_where(tiny))
-            if finite.size and np.median(finite) > _LARGE_SIGMA[unit]:
-                other = "millimetres" if unit == "m" else "degrees"
-                self._table.warn(f"{name} is {np.median(finite):.3g} {unit} (median), which is very large: {other}?")
-        return sigmas

@@ -20,7 +20,6 @@ from pm3dof_pin.errors.pose_error import (
 )
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.measuring.encoders import joint_coordinates
 from pm3dof_pin.measuring.instrument import Instrument, Measured
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register
 from pm3dof_pin.typing import Array, Indices, Mask
@@ -402,6 +401,16 @@ class Measurements:
     def _fixed(self) -> Mask:
         assert self.partners is not None
         return np.asarray(self.partners < 0)[:, None]
+
+
+def joint_coordinates(poses: Poses, joints: Sequence[str]) -> Array:
+    """Return the coordinates of single-DoF joints, shape=(n, joints) [m, rad]."""
+    found = np.zeros((len(poses), len(joints)))
+    for k, name in enumerate(joints):
+        joint = poses.robot.single_joint(name)
+        q = poses.q[:, joint.q_index]
+        found[:, k] = np.arctan2(poses.q[:, joint.q_index + 1], q) if joint.is_continuous else q
+    return found
 
 
 def with_joints(motions: Array, joints: int) -> Array:

@@ -29,7 +29,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.measuring.encoders import ENCODER_ZERO
+from pm3dof_pin.measuring.instrument import ENCODER_ZERO
 from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.typing import Array, Indices
 

@@ -304,9 +304,9 @@ def _read_plan(folder: Path) -> None:
     import numpy as np
 
     from pm3dof_pin.kinematics.robot import load
-    from pm3dof_pin.measuring.plan_file import read_commands
+    from pm3dof_pin.measuring.measurement_file import read_plan
 
-    _require(np.isfinite(read_commands(folder / "plan.csv", load(folder.name))).all(), "commands")
+    _require(np.isfinite(read_plan(folder / "plan.csv", load(folder.name))[0]).all(), "commands")
 
 
 def _read_calibration(folder: Path) -> None:

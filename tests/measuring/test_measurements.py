@@ -11,11 +11,9 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.command_columns import command_columns
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
+from pm3dof_pin.measuring.measurement_file import command_columns, read_measurements, read_plan, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.measuring.plan_file import read_commands
 
 HEADER = "u1_m,u2_m,u3_m,x_m,y_m,z_m,qw,qx,qy,qz"
 
@@ -294,7 +292,7 @@ def test_broken_files(text: str, problem: str, tripod_errors: GeometricErrors, t
 def test_commands_of_a_plan(tripod_errors: GeometricErrors, tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     path.write_text("u1_m,u2_m,u3_m,nominal_x_m\n0.25,0.24,0.23,\n")
-    np.testing.assert_allclose(read_commands(path, tripod_errors.robot), [[0.25, 0.24, 0.23]], atol=1e-12)
+    np.testing.assert_allclose(read_plan(path, tripod_errors.robot)[0], [[0.25, 0.24, 0.23]], atol=1e-12)
 
 
 def test_arrays_that_do_not_fit() -> None:
