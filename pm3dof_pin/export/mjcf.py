@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import PurePath
+from typing import assert_never
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.export.robot_document import RobotDocument
-from pm3dof_pin.export.urdf_document import WORLD, Inertial, Joint, Link, Origin, Shape, wxyz
+from pm3dof_pin.description.couplings import MAX_DEGREE, Coupling
+from pm3dof_pin.description.description import IDENTITY, Body, Drive, Inertial, Joint, Placement, Shape
+from pm3dof_pin.description.inertia_checks import inertia_matrix
+from pm3dof_pin.export.robot_document import WORLD, RobotDocument, unit_axis
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
 MESH_KINDS = (".stl", ".obj", ".msh")
@@ -21,6 +24,7 @@ _STEP = 5e-4
 _STIFF = {"solref": "0.001 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
 _BANNER = "{name} for MuJoCo, generated from its description by `pm3dof export mjcf`. Edit that, not this file."
 _SITE = "{}_site"
+_GAINS: dict[str, tuple[str, ...]] = {"motor": (), "position": ("kp", "kv"), "velocity": ("kv",)}
 
 
 def mjcf_text(robot: RobotDocument) -> str:
@@ -28,11 +32,14 @@ def mjcf_text(robot: RobotDocument) -> str:
 
     Each link becomes a body of its name, and joints keep their names and coordinates, so q is as in the URDF. The
     frames of loop closures and the tool frame are also sites, `<frame>_site`: a `connect` (3d) or `weld` (6d) between
-    two sites closes the right loop in whichever configuration the file is loaded, unlike one between two bodies. Each
-    actuated joint has a force actuator of its name. The named configurations are keyframes.
+    two sites closes the right loop in whichever configuration the file is loaded, unlike one between two bodies. A
+    hinge becomes two `connect` on its axis, a distance the length of a tendon, a coupling an equality of joints or of a
+    fixed tendon. Each actuated joint has an actuator: that of the description, or a motor of the joint's name. The
+    named configurations are keyframes.
 
     Raises:
-        DescriptionError: the end of a branch is movable and massless, which MuJoCo refuses.
+        DescriptionError: the end of a branch is movable and massless, which MuJoCo refuses; or a closure or coupling
+            is none of these.
         ConvergenceError: the loops do not close near the home configuration.
     """
     complete = robot.with_moving_mass("MuJoCo").with_meshes_of(MESH_KINDS)
@@ -44,22 +51,57 @@ class _Writer:
         self._robot = robot
         self._geoms: set[str] = set()
         self._joints: list[Joint] = []
-        frames = [frame for pair in robot.closure_links for frame in pair]
+        self._tendons: list[tuple[str, list[str]]] = []  # names, and sites at the ends
+        self._sites: dict[str, list[tuple[str, str, Placement]]] = {}  # by body: name, frame and placement in it
+        self._loops = [self._loop(index) for index in range(len(robot.closures))]
         if robot.mechanism.tool_frame is not None:
-            frames.append(robot.urdf.link_of_frame(robot.mechanism.tool_frame))
-        self._sites: dict[str, list[str]] = {}
-        for frame in dict.fromkeys(frames):
-            self._sites.setdefault(self._carrier(frame), []).append(frame)
+            self._site(robot.body_of_frame(robot.mechanism.tool_frame))
+
+    def _site(self, frame: str, offset: Placement = IDENTITY, name: str | None = None) -> str:
+        """Add a site at a frame, or at a placement in it; return its name."""
+        site = (name or frame, frame, offset)
+        sites = self._sites.setdefault(self._carrier(frame), [])
+        if site not in sites:
+            sites.append(site)
+        return _SITE.format(site[0])
+
+    def _loop(self, index: int) -> list[tuple[str, dict[str, str]]]:
+        """Return the equality constraints of a closure, tags and attributes, and add their sites."""
+        loop, pair = self._robot.closures[index], self._robot.closure_links[index]
+        name = f"{loop.frame_a}_{loop.frame_b}"
+        match loop.type:
+            case "3d" | "6d":
+                sites = {"site1": self._site(pair[0]), "site2": self._site(pair[1])}
+                return [("connect" if loop.type == "3d" else "weld", {"name": name, **sites})]
+            case "distance":
+                self._tendons.append((name, [self._site(frame) for frame in pair]))
+                home = self._robot.mechanism.configuration(pin.neutral(self._robot.mechanism.model))
+                a, b = (home.frame_placement(frame).translation for frame in (loop.frame_a, loop.frame_b))
+                excess = (loop.length or 0.0) - float(np.linalg.norm(b - a))  # relative to the length at qpos0
+                return [("tendon", {"name": name, "tendon1": name, "polycoef": f"{number_text(excess)} 0 0 0 0"})]
+            case "hinge" | "universal" | "prismatic" | "cylindrical" | "planar":
+                found = []
+                for k, points in enumerate(self._robot.points_of(index, "MJCF")):
+                    ends = zip(pair, points, strict=True)
+                    names = [
+                        self._site(frame, Placement(tuple(point)), f"{frame}_{index}" if k else None)
+                        for frame, point in ends
+                    ]
+                    own = f"{name}_axis" if k else name
+                    found.append(("connect", {"name": own, "site1": names[0], "site2": names[1]}))
+                return found
+            case _:
+                assert_never(loop.type)
 
     def _carrier(self, frame: str) -> str:
         """The body that a site is written in: the one that moves it.
 
         Pinocchio silently misplaces sites in a fixed body within a fixed body, or in the root.
         """
-        above = self._robot.urdf.above(frame)
-        while above is not None and above.is_fixed and above.parent != self._robot.urdf.root.name:
+        above = self._robot.description.joint_above.get(frame)
+        while above is not None and above.is_fixed and above.parent != self._robot.description.root.name:
             frame = above.parent
-            above = self._robot.urdf.above(frame)
+            above = self._robot.description.joint_above.get(frame)
         return frame
 
     def document(self) -> Element:
@@ -71,8 +113,8 @@ class _Writer:
         SubElement(root, "option", timestep=number_text(_STEP), integrator="implicitfast", tolerance="1e-12")
         self._defaults(SubElement(root, "default"))
         self._assets(root)
-        base = SubElement(SubElement(root, "worldbody"), "body", name=_body(robot.urdf.root.name))
-        self._fill(base, robot.urdf.root, None)
+        base = SubElement(SubElement(root, "worldbody"), "body", name=_body(robot.description.root.name))
+        self._fill(base, robot.description.root, None)
         self._exclusions(root)
         self._equalities(root)
         self._actuators(root)
@@ -90,8 +132,8 @@ class _Writer:
     def _assets(self, root: Element) -> None:
         shapes = {
             (shape.mesh, shape.sizes): shape
-            for link in self._robot.urdf.links.values()
-            for shape in (*link.visuals, *link.collisions)
+            for body in self._robot.description.bodies
+            for shape in (*body.visuals, *body.collisions)
             if shape.kind == "mesh"
         }
         if shapes:
@@ -105,29 +147,29 @@ class _Writer:
         scales = map(number_text, shape.sizes) if set(shape.sizes) != {1.0} else ()
         return "_".join([PurePath(self._robot.meshes.exported(shape.mesh)).name, *scales])
 
-    def _fill(self, body: Element, link: Link, joint: Joint | None) -> None:
+    def _fill(self, body: Element, link: Body, joint: Joint | None) -> None:
         if link.inertial is not None and link.mass > 0.0:
             SubElement(body, "inertial", _inertial(link.inertial))
         if joint is not None and not joint.is_fixed:
             self._joints.append(joint)
-            SubElement(body, "joint", _joint(joint))
+            rotors = [d.rotor_inertia * d.gear**2 for d in self._robot.description.drives if d.joint == joint.name]
+            SubElement(body, "joint", _joint(joint, sum(rotors)))
         for kind, shapes in (("visual", link.visuals), ("collision", link.collisions)):
             for shape in shapes:
                 self._geom(body, kind, shape)
-        for frame in self._sites.get(link.name, []):
-            SubElement(body, "site", {"name": _SITE.format(frame), **self._place_in(link.name, frame)})
-        for below in self._robot.urdf.below(link.name):
-            child = SubElement(body, "body", {"name": below.child, **_place(below.origin)})
-            self._fill(child, self._robot.urdf.links[below.child], below)
+        for name, frame, offset in self._sites.get(link.name, []):
+            place = self._place_in(link.name, frame) * offset
+            SubElement(body, "site", {"name": _SITE.format(name), **_place(place)})
+        for below in self._robot.description.joints_below[link.name]:
+            child = SubElement(body, "body", {"name": below.child, **_place(below.placement)})
+            self._fill(child, self._robot.description.body_by_name[below.child], below)
 
-    def _place_in(self, carrier: str, frame: str) -> dict[str, str]:
+    def _place_in(self, carrier: str, frame: str) -> Placement:
         """Placement of a frame in the body that carries it by fixed joints."""
-        position, turn = np.zeros(3), pin.Quaternion.Identity()
-        while frame != carrier and (above := self._robot.urdf.above(frame)) is not None:
-            position = above.origin.rotation @ position + above.origin.position
-            turn, frame = above.origin.turn * turn, above.parent
-        place = {"pos": numbers_text(position)} if position.any() else {}
-        return place | ({} if turn == pin.Quaternion.Identity() else {"quat": numbers_text(wxyz(turn))})
+        place = IDENTITY
+        while frame != carrier and (above := self._robot.description.joint_above.get(frame)) is not None:
+            place, frame = above.placement * place, above.parent
+        return place
 
     def _geom(self, body: Element, kind: str, shape: Shape) -> None:
         attributes = {"class": kind}
@@ -140,7 +182,7 @@ class _Writer:
             attributes |= {"type": shape.kind, "size": numbers_text(_sizes(shape))}
         if shape.colour is not None:
             attributes["rgba"] = numbers_text(shape.colour)
-        SubElement(body, "geom", attributes | _place(shape.origin))
+        SubElement(body, "geom", attributes | _place(shape.placement))
 
     def _exclusions(self, root: Element) -> None:
         if self._robot.untouchable:
@@ -149,22 +191,47 @@ class _Writer:
                 SubElement(contact, "exclude", body1=_body(one), body2=_body(other))
 
     def _equalities(self, root: Element) -> None:
-        robot = self._robot
-        if robot.closures:
-            equality = SubElement(root, "equality")
-            for loop, (one, other) in zip(robot.closures, robot.closure_links, strict=True):
-                tag = "connect" if loop.type == "3d" else "weld"
-                sites = {"site1": _SITE.format(one), "site2": _SITE.format(other)}
-                SubElement(equality, tag, {"name": f"{loop.frame_a}_{loop.frame_b}", **sites})
+        couplings = self._robot.mechanism.couplings
+        if not (self._loops or couplings):
+            return
+        tendons = Element("tendon")
+        for name, sites in self._tendons:
+            spatial = SubElement(tendons, "spatial", name=name)
+            for site in sites:
+                SubElement(spatial, "site", site=site)
+        equality = SubElement(root, "equality")
+        for tag, attributes in (constraint for loop in self._loops for constraint in loop):
+            SubElement(equality, tag, attributes)
+        for coupling in couplings:
+            self._coupling(equality, tendons, coupling)
+        if len(tendons):
+            root.append(tendons)
+
+    def _coupling(self, equality: Element, tendons: Element, coupling: Coupling) -> None:
+        """Write a coupling of two joints as such; of more, if it is linear, as the length of a fixed tendon."""
+        if len(coupling.joints) == 1:
+            powers = [*coupling.coefficients[0], *[0.0] * (MAX_DEGREE - len(coupling.coefficients[0]))]
+            joints = {"joint1": coupling.joint, "joint2": coupling.joints[0]}
+            SubElement(equality, "joint", {**joints, "polycoef": numbers_text([coupling.offset, *powers])})
+            return
+        if not coupling.is_linear:
+            raise self._robot.refusal(coupling, "MJCF")
+        name = f"{coupling.joint}_coupling"
+        fixed = SubElement(tendons, "fixed", name=name)
+        ratios = {coupling.joint: 1.0}
+        ratios |= {other: -powers[0] for other, powers in zip(coupling.joints, coupling.coefficients, strict=True)}
+        for joint, ratio in ratios.items():
+            SubElement(fixed, "joint", joint=joint, coef=number_text(ratio))
+        SubElement(equality, "tendon", tendon1=name, polycoef=f"{number_text(coupling.offset)} 0 0 0 0")
 
     def _actuators(self, root: Element) -> None:
-        joints = {joint.name: joint for joint in self._robot.urdf.joints}
-        actuated = [joints[name] for name in self._robot.mechanism.actuated_joints]
-        if actuated:
+        description = self._robot.description
+        drives = {drive.joint: drive for drive in description.drives}
+        if actuated := self._robot.mechanism.actuated_joints:
             actuator = SubElement(root, "actuator")
-            for joint in actuated:
-                limit = {"ctrlrange": numbers_text([-joint.effort, joint.effort])} if joint.effort else {}
-                SubElement(actuator, "motor", {"name": joint.name, "joint": joint.name, **limit})
+            for name in actuated:
+                tag, attributes = _actuator(description.joint(name), drives.get(name) or Drive(name, name))
+                SubElement(actuator, tag, attributes)
 
     def _keyframes(self, root: Element) -> None:
         if self._joints:
@@ -180,28 +247,55 @@ def _body(link: str) -> str:
 
 
 def _inertial(inertial: Inertial) -> dict[str, str]:
-    mass = {"mass": number_text(inertial.mass), "pos": numbers_text(inertial.origin.position)}
-    if inertial.is_diagonal:
-        turned = {"quat": numbers_text(inertial.origin.quaternion)} if inertial.origin.is_rotated else {}
+    place = inertial.placement
+    mass = {"mass": number_text(inertial.mass), "pos": numbers_text(place.position)}
+    if not any(inertial.moments[3:]):
+        turned = {"quat": numbers_text(place.quaternion)} if any(place.quaternion[1:]) else {}
         return mass | turned | {"diaginertia": numbers_text(inertial.moments[:3])}
-    return mass | {"fullinertia": numbers_text(inertial.moments_in_link_axes)}
+    matrix = place.rotation @ inertia_matrix(inertial.moments) @ place.rotation.T
+    moments = [matrix[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    return mass | {"fullinertia": numbers_text(moments)}
 
 
-def _joint(joint: Joint) -> dict[str, str]:
-    kind = "slide" if joint.kind == "prismatic" else "hinge"
-    attributes = {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis)}
+def _actuator(joint: Joint, drive: Drive) -> tuple[str, dict[str, str]]:
+    """Return the actuator of a joint, tag and attributes; a motor, unless its drive is another kind."""
+    attributes = {"name": drive.name, "joint": joint.name}
+    if drive.gear != 1.0:
+        attributes["gear"] = number_text(drive.gear)
+    tag = drive.kind if drive.kind in _GAINS else "motor"
+    for key in _GAINS[tag]:
+        gain = drive.proportional_gain if key == "kp" else drive.derivative_gain
+        if gain is not None:
+            attributes[key] = number_text(gain)
+    if drive.control_range is not None:
+        attributes["ctrlrange"] = numbers_text(drive.control_range)
+    elif joint.effort and tag == "motor":
+        attributes["ctrlrange"] = numbers_text([-joint.effort / drive.gear, joint.effort / drive.gear])
+    if drive.force_range is not None:
+        attributes["forcerange"] = numbers_text(drive.force_range)
+    return tag, attributes
+
+
+def _joint(joint: Joint, rotor: float) -> dict[str, str]:
+    """Return the attributes of a joint; `rotor` is the inertia of its drive's rotor, reflected to it."""
+    kind = "slide" if joint.type == "prismatic" else "hinge"
+    attributes = {"name": joint.name, "type": kind, "axis": numbers_text(unit_axis(joint))}
     if joint.lower is not None and joint.upper is not None:
         attributes["range"] = numbers_text([joint.lower, joint.upper])
     if joint.damping:
         attributes["damping"] = number_text(joint.damping)
     if joint.friction:
         attributes["frictionloss"] = number_text(joint.friction)
+    if armature := joint.armature + rotor:
+        attributes["armature"] = number_text(armature)
+    if joint.stiffness:
+        attributes |= {"stiffness": number_text(joint.stiffness), "springref": number_text(joint.rest)}
     return attributes
 
 
-def _place(origin: Origin) -> dict[str, str]:
-    place = {"pos": numbers_text(origin.position)} if any(origin.position) else {}
-    return place | ({"quat": numbers_text(origin.quaternion)} if origin.is_rotated else {})
+def _place(placement: Placement) -> dict[str, str]:
+    place = {"pos": numbers_text(placement.position)} if any(placement.position) else {}
+    return place | ({"quat": numbers_text(placement.quaternion)} if any(placement.quaternion[1:]) else {})
 
 
 def _sizes(shape: Shape) -> tuple[float, ...]:

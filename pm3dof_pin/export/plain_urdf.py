@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from xml.etree import ElementTree
 
 import yaml
@@ -40,14 +39,26 @@ def _with_tool_frame(robot: RobotDocument, closures: str | None, tool_frame: str
 
 def urdf_text(robot: RobotDocument, mesh_prefix: str = "") -> str:
     """Return the URDF of a robot, verbatim if it has no meshes; their names get a prefix, such as `package://x/`."""
-    if not len(robot.meshes):
-        return robot.urdf.text
+    text = robot.files.urdf.read_text(encoding="utf-8")
+    if "<mesh" not in text:
+        return text
     return document_text(urdf_element(robot, mesh_prefix), _BANNER.format(robot.name))
 
 
 def urdf_element(robot: RobotDocument, mesh_prefix: str = "") -> ElementTree.Element:
-    """Return a copy of a robot's URDF with prefixed mesh names as in the export."""
-    root = copy.deepcopy(robot.urdf.element)
-    for mesh in root.iter("mesh"):
-        mesh.set("filename", mesh_prefix + robot.meshes.exported(mesh.get("filename", "")))
+    """Return a robot's URDF with its meshes named as in the export, and without limits that stand for none."""
+    root = ElementTree.parse(robot.files.urdf).getroot()
+    for link in root.findall("link"):
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            if (mesh := shape.find("geometry/mesh")) is None:
+                continue
+            if len(robot.meshes):
+                mesh.set("filename", mesh_prefix + robot.meshes.exported(mesh.get("filename", "")))
+            else:
+                link.remove(shape)
+    for joint in robot.description.joints:
+        if joint.lower is None:
+            for limit in root.iterfind(f"joint[@name='{joint.name}']/limit"):
+                limit.attrib.pop("lower", None)
+                limit.attrib.pop("upper", None)
     return root

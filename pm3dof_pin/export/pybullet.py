@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.description.closures import LoopClosure, read_closures
-from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.exceptions import FrameNotFoundError
+from pm3dof_pin.export.robot_document import read_robot
+from pm3dof_pin.typing import Vector
 
 _BASE = -1
 _GREATEST_FORCE = 1e6
@@ -18,24 +18,33 @@ _GREATEST_FORCE = 1e6
 
 
 def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
-    """Close the loops of a robot in PyBullet, and release its joints; return the constraint of each closure.
+    """Close the loops of a robot in PyBullet, and release its joints; return its constraints.
 
     PyBullet reads no loops from files, measures the points of a constraint from the links' centres of mass, and gives
     every joint a motor, which would lock a closed mechanism. A 3d closure becomes a `JOINT_POINT2POINT`, a 6d closure a
-    `JOINT_FIXED`. A fixed link without inertia in the URDF, such as a frame, is relieved of the 1 kg that PyBullet
-    assumes. `client` and `body` are ids of `pybullet.connect` and `pybullet.loadURDF`, the latter with
+    `JOINT_FIXED`, a hinge two `JOINT_POINT2POINT` on its axis. A fixed link without inertia in the URDF, such as a
+    frame, is relieved of the 1 kg that PyBullet assumes. `client` and `body` are ids of `pybullet.connect` and
+    `pybullet.loadURDF`, the latter with
     `useFixedBase=True` and `flags=pybullet.URDF_USE_INERTIA_FROM_FILE`, without merging fixed links.
 
     Raises:
         UnknownRobotError: no such robot.
-        DescriptionError: the closures file is malformed.
+        DescriptionError: a file is malformed, or a closure or coupling is none of these.
         FrameNotFoundError: a closure names a link that the body does not have.
     """
     import pybullet
 
-    found = find_robot(robot)
-    closures = read_closures(found.closures).closures if found.closures is not None else ()
-    massless = _links_without_inertia(found.urdf)
+    document = read_robot(robot, meshes=False)
+    for coupling in document.mechanism.couplings:
+        raise document.refusal(coupling, "PyBullet")
+    constraints: list[tuple[LoopClosure, tuple[Vector, Vector], int]] = []
+    for index, loop in enumerate(document.closures):
+        if loop.type == "6d":
+            constraints.append((loop, (np.zeros(3), np.zeros(3)), pybullet.JOINT_FIXED))
+        else:
+            points = document.points_of(index, "PyBullet")
+            constraints += [(loop, pair, pybullet.JOINT_POINT2POINT) for pair in points]
+    massless = {link.name for link in document.description.bodies if link.inertial is None}
     names = {pybullet.getBodyInfo(body, physicsClientId=client)[0].decode(): _BASE}
     for joint in range(pybullet.getNumJoints(body, physicsClientId=client)):
         information = pybullet.getJointInfo(body, joint, physicsClientId=client)
@@ -45,15 +54,12 @@ def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
             nothing = {"mass": 0.0, "localInertiaDiagonal": [0.0, 0.0, 0.0]}
             pybullet.changeDynamics(body, joint, physicsClientId=client, **nothing)
         pybullet.setJointMotorControl2(body, joint, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=client)
-    return tuple(_constraint(client, body, loop, names) for loop in closures)
+    return tuple(_constraint(client, body, names, *constraint) for constraint in constraints)
 
 
-def _links_without_inertia(urdf: Path) -> set[str]:
-    links = ElementTree.parse(urdf).getroot().iter("link")
-    return {link.get("name", "") for link in links if link.find("inertial") is None}
-
-
-def _constraint(client: int, body: int, loop: LoopClosure, names: dict[str, int]) -> int:
+def _constraint(
+    client: int, body: int, names: dict[str, int], loop: LoopClosure, points: tuple[Vector, Vector], kind: int
+) -> int:
     import pybullet
 
     links = []
@@ -61,8 +67,7 @@ def _constraint(client: int, body: int, loop: LoopClosure, names: dict[str, int]
         if frame not in names:
             raise FrameNotFoundError(frame, "PyBullet's body", sorted(names))
         links.append(names[frame])
-    frames = [_frame(client, body, link) for link in links]
-    kind = pybullet.JOINT_POINT2POINT if loop.type == "3d" else pybullet.JOINT_FIXED
+    frames = [_frame(client, body, link, point) for link, point in zip(links, points, strict=True)]
     constraint = pybullet.createConstraint(
         body,
         links[0],
@@ -80,11 +85,11 @@ def _constraint(client: int, body: int, loop: LoopClosure, names: dict[str, int]
     return int(constraint)
 
 
-def _frame(client: int, body: int, link: int) -> tuple[list[float], list[float]]:
-    """Placement of a link frame relative to the link's centre of mass: position, quaternion x, y, z, w."""
+def _frame(client: int, body: int, link: int, point: Vector) -> tuple[list[float], list[float]]:
+    """Placement of a link's axes at a point of it, relative to its centre of mass: position, quaternion x, y, z, w."""
     import pybullet
 
     dynamics = pybullet.getDynamicsInfo(body, link, physicsClientId=client)
     centre = pin.XYZQUATToSE3(np.concatenate(dynamics[3:5])).inverse()
-    position, quaternion = np.split(pin.SE3ToXYZQUAT(centre), [3])
+    position, quaternion = np.split(pin.SE3ToXYZQUAT(centre * pin.SE3(np.eye(3), point)), [3])
     return position.tolist(), quaternion.tolist()

@@ -1,30 +1,35 @@
-"""The source of all exports: a robot's URDF as a document, its closures, its SRDF, and the mechanism."""
+"""The source of all exports: a robot's description as a tree of simple joints, and the mechanism that it describes."""
 
 from __future__ import annotations
 
-import copy
 import logging
 import re
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Unpack
-from xml.etree import ElementTree
+from typing import Unpack, assert_never
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.description.couplings import Coupling
+from pm3dof_pin.description.description import IDENTITY, Body, Description, Inertial, Joint, Shape
+from pm3dof_pin.description.reading import read_description
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.meshes import Meshes
-from pm3dof_pin.export.urdf_document import Inertial, Joint, Link, Origin, UrdfDocument, read_urdf
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.robot import LoadOptions, Robot
 from pm3dof_pin.mechanism.as_urdf import NEGLIGIBLE_MASS, NEGLIGIBLE_MOMENT, as_urdf
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Vector
 
-_NEGLIGIBLE = Inertial(NEGLIGIBLE_MASS, Origin(), (*[NEGLIGIBLE_MOMENT] * 3, 0.0, 0.0, 0.0))
+WORLD = "world"
+"""In MuJoCo, SDFormat and Drake, a root link of this name is the world itself."""
+
+_NEGLIGIBLE = Inertial(NEGLIGIBLE_MASS, IDENTITY, (*[NEGLIGIBLE_MOMENT] * 3, 0.0, 0.0, 0.0))
 _logger = logging.getLogger(__name__)
 
 
@@ -33,15 +38,15 @@ class RobotDocument:
     """A checked robot: its tree, the same in Pinocchio with loop closures, and its mesh files."""
 
     files: RobotFiles
-    urdf: UrdfDocument
+    #: bodies on fixed, revolute, continuous and prismatic joints; its frames are bodies too
+    description: Description
     mechanism: Robot
-    allowed_by_srdf: tuple[tuple[str, str], ...]  #: pairs of links that the SRDF keeps from colliding
     meshes: Meshes
 
     @property
     def name(self) -> str:
         """Name of the robot."""
-        return self.urdf.name
+        return self.description.name
 
     @property
     def file_name(self) -> str:
@@ -55,18 +60,64 @@ class RobotDocument:
 
     @cached_property
     def closure_links(self) -> tuple[tuple[str, str], ...]:
-        """For each closure, the two links that its frames belong to."""
-        return tuple(
-            (self.urdf.link_of_frame(loop.frame_a), self.urdf.link_of_frame(loop.frame_b)) for loop in self.closures
-        )
+        """For each closure, the two bodies that its frames are."""
+        return tuple((self.body_of_frame(loop.frame_a), self.body_of_frame(loop.frame_b)) for loop in self.closures)
+
+    def body_of_frame(self, frame: str) -> str:
+        """Return the body of a frame, given by the name of the body or of the joint that carries it."""
+        return frame if frame in self.description.body_by_name else self.description.joint(frame).child
+
+    def points_of(self, index: int, tool: str) -> list[tuple[Vector, Vector]]:
+        """Return pairs of points of a closure's frames, in their axes, whose coincidence closes it [m].
+
+        Those of a hinge are on its axis, as far apart as the robot is large; three points close a weld.
+
+        Raises:
+            DescriptionError: the closure is not equivalent to coincident points.
+        """
+        loop = self.closures[index]
+        arm = float(f"{self.mechanism.characteristic_length:.1g}")  # a round number of the size of the robot
+        match loop.type:
+            case "3d":
+                arms = [(0.0, 0.0, 0.0)]
+            case "6d":
+                arms = [(0.0, 0.0, 0.0), (arm, 0.0, 0.0), (0.0, arm, 0.0)]
+            case "hinge":
+                arms = [(0.0, 0.0, 0.0), (0.0, 0.0, arm)]
+            case "universal" | "prismatic" | "cylindrical" | "planar" | "distance":
+                raise self.refusal(loop, tool)
+            case _:
+                assert_never(loop.type)
+        bases = loop.bases or (np.eye(3), np.eye(3))
+        return [(bases[0] @ np.array(point), bases[1] @ np.array(point)) for point in arms]
+
+    def refusal(self, constraint: LoopClosure | Coupling, tool: str) -> DescriptionError:
+        """Return the error that a tool has nothing for a closure or coupling."""
+        if isinstance(constraint, Coupling):
+            return DescriptionError(self.files.source, f"coupling {constraint.name}", f"cannot be expressed in {tool}")
+        place = f"closure {constraint.name}"
+        return DescriptionError(self.files.source, place, f"of type {constraint.type} cannot be expressed in {tool}")
+
+    def mimicked(self, tool: str) -> dict[str, tuple[str, float, float]]:
+        """Return the couplings by the joint that follows: the other joint, ratio and offset [m, rad].
+
+        Raises:
+            DescriptionError: one is not linear or has several other joints, or a joint follows twice.
+        """
+        found: dict[str, tuple[str, float, float]] = {}
+        for coupling in self.mechanism.couplings:
+            if not coupling.is_linear or len(coupling.joints) > 1 or coupling.joint in found:
+                raise self.refusal(coupling, tool)
+            found[coupling.joint] = coupling.joints[0], coupling.coefficients[0][0], coupling.offset
+        return found
 
     @cached_property
     def untouchable(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of links whose collisions are disabled: those of the SRDF, and links joined by a loop closure.
+        """Pairs of bodies whose collisions are disabled: those of the SRDF, and bodies joined by a loop closure.
 
-        All tools permit overlap of links joined by a joint of the tree, where shapes often meet, but not by closures.
+        All tools permit overlap of bodies joined by a joint of the tree, where shapes often meet, but not by closures.
         """
-        known = {frozenset(pair) for pair in self.allowed_by_srdf}
+        known = {frozenset(pair) for pair in self.description.untouchable}
         joined = [
             (one.name, other.name)
             for links in self.closure_links
@@ -74,13 +125,13 @@ class RobotDocument:
             for other in self._rigid_body(links[1])
             if one.collisions and other.collisions and frozenset((one.name, other.name)) not in known
         ]
-        return (*self.allowed_by_srdf, *dict.fromkeys(joined))
+        return (*self.description.untouchable, *dict.fromkeys(joined))
 
-    def _rigid_body(self, link: str) -> list[Link]:
-        """Return the links that form one rigid body with a link."""
-        while (above := self.urdf.above(link)) is not None and above.is_fixed:
-            link = above.parent
-        return list(self.urdf.fixed_to(link))
+    def _rigid_body(self, body: str) -> list[Body]:
+        """Return the bodies that are fixed to a body, with itself."""
+        while (above := self.description.joint_above.get(body)) is not None and above.is_fixed:
+            body = above.parent
+        return list(self.description.fixed_to(body))
 
     @cached_property
     def home(self) -> Configuration:
@@ -98,29 +149,28 @@ class RobotDocument:
         return {"home": self.home} | named | {"home": self.home}
 
     def with_moving_mass(self, tool: str) -> RobotDocument:
-        """Return the robot with mass and inertia for all moving links, for a tool that needs them.
+        """Return the robot with mass and inertia for all moving bodies, for a tool that needs them.
 
-        A massless link between two joints, such as the cross of a universal joint, gets a negligible mass, and so does
+        A massless body between two joints, such as the cross of a universal joint, gets a negligible mass, and so does
         the end of a leg that a closure joins to another body.
 
         Raises:
-            DescriptionError: a moving link at the end of a branch, with all links fixed to it, has none.
+            DescriptionError: a moving body at the end of a branch, with all bodies fixed to it, has none.
         """
-        links, lightened = dict(self.urdf.links), []
-        loops = zip(self.mechanism.closures, self.closure_links, strict=True)
-        closed = {name for loop, pair in loops if loop.type == "6d" for name in pair}
-        for joint in self.urdf.joints:
-            rigid = list(self.urdf.fixed_to(joint.child))
+        description, lightened = self.description, []
+        loops = zip(self.closures, self.closure_links, strict=True)
+        closed = {name for loop, pair in loops if len(loop.kind.rotations) > 1 for name in pair}
+        for joint in description.joints:
+            rigid = list(description.fixed_to(joint.child))
             if joint.is_fixed or any(map(_is_massive, rigid)):
                 continue
-            carries = any(not below.is_fixed for link in rigid for below in self.urdf.below(link.name))
-            if not carries and closed.isdisjoint(link.name for link in rigid):
+            carries = any(not below.is_fixed for body in rigid for below in description.joints_below[body.name])
+            if not carries and closed.isdisjoint(body.name for body in rigid):
                 raise DescriptionError(
                     self.files.urdf,
                     f"link '{joint.child}'",
                     f"expected mass and inertia, which {tool} requires of all moving links",
                 )
-            links[joint.child] = replace(links[joint.child], inertial=_NEGLIGIBLE)
             lightened.append(joint.child)
         if not lightened:
             return self
@@ -128,11 +178,18 @@ class RobotDocument:
             "%s: %s kg and %s kg m^2 are assigned to the massless links %s: %s requires mass of all moving links",
             *(self.name, NEGLIGIBLE_MASS, NEGLIGIBLE_MOMENT, ", ".join(lightened), tool),
         )
-        return replace(self, urdf=replace(self.urdf, links=links))
+        bodies = [replace(b, inertial=_NEGLIGIBLE) if b.name in lightened else b for b in description.bodies]
+        return replace(self, description=replace(description, bodies=tuple(bodies)))
 
     def with_meshes_of(self, kinds: Collection[str]) -> RobotDocument:
         """Return the robot for a tool that reads only certain mesh suffixes; the others become OBJ files."""
         return replace(self, meshes=self.meshes.for_kinds(kinds))
+
+
+def unit_axis(joint: Joint) -> NDArray[np.float64]:
+    """Return the axis of a joint as a unit vector, shape=(3,)."""
+    axis = np.array(joint.axis)
+    return np.asarray(axis / np.linalg.norm(axis))
 
 
 def read_robot(
@@ -151,37 +208,52 @@ def read_robot(
         FrameNotFoundError: the closures file names a frame that the URDF does not have.
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
     """
-    mechanism = Robot.load(name_or_path, **options)
+    robot = mechanism = Robot.load(name_or_path, **options)
     files = as_urdf(mechanism, floating=False)
     if files is not mechanism.files:
         mechanism = Robot.load(files.urdf, tool_frame=options.get("tool_frame"))
-    urdf = _without_limits_that_are_none(read_urdf(files.urdf, meshes=meshes), mechanism)
-    shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
-    names = [shape.mesh for shape in shapes if shape.kind == "mesh"]
-    found = Meshes.of_urdf(files, names)
-    return RobotDocument(files, urdf, mechanism, _allowed_pairs(files.srdf, urdf), found)
+    description = _with_frames_as_bodies(_with_dynamics_of(read_description(files), robot))
+    if not meshes:
+        description = replace(description, bodies=tuple(map(_without_meshes, description.bodies)))
+    shapes = [shape for body in description.bodies for shape in (*body.visuals, *body.collisions)]
+    found = Meshes.of_urdf(files, [shape.mesh for shape in shapes if shape.kind == "mesh"])
+    return RobotDocument(files, description, mechanism, found)
 
 
-def _without_limits_that_are_none(urdf: UrdfDocument, mechanism: Robot) -> UrdfDocument:
-    """Remove the limits of joints treated as unlimited: URDF has 0 .. 0 if none are given."""
-    joints, element = [], copy.deepcopy(urdf.element)
-    for joint in urdf.joints:
-        if joint.lower is not None and np.isinf(mechanism.upper_limits[mechanism.single_joint(joint.name).q_index]):
-            joint = replace(joint, lower=None, upper=None)
-            for limit in element.iterfind(f"joint[@name='{joint.name}']/limit"):
-                limit.attrib.pop("lower", None)
-                limit.attrib.pop("upper", None)
-        joints.append(joint)
-    return replace(urdf, element=element, joints=tuple(joints))
+def _with_dynamics_of(description: Description, robot: Robot) -> Description:
+    """Return a description with the drives and joint constants of the one that it was made from.
+
+    Drives of a URDF are named after their joints; its greatest speeds of 0 stand for unknown ones.
+    """
+    description = description.with_joints({j.name: replace(j, velocity=j.velocity or None) for j in description.joints})
+    if (original := robot.description) is None or original.dialect == "urdf":
+        return replace(description, drives=tuple(replace(drive, name=drive.joint) for drive in description.drives))
+    kept = original.joint_by_name
+    names = ("armature", "stiffness", "rest")
+    joints = {
+        joint.name: replace(joint, **{name: getattr(kept[joint.name], name) for name in names})
+        for joint in description.joints
+        if joint.name in kept and kept[joint.name].is_single
+    }
+    return replace(description.with_joints(joints), drives=original.drives)
 
 
-def _allowed_pairs(srdf: Path | None, urdf: UrdfDocument) -> tuple[tuple[str, str], ...]:
-    if srdf is None:
-        return ()
-    elements = ElementTree.parse(srdf).getroot().iter("disable_collisions")
-    pairs = [(element.get("link1", ""), element.get("link2", "")) for element in elements]
-    return tuple(pair for pair in pairs if set(pair) <= set(urdf.links))
+def _with_frames_as_bodies(description: Description) -> Description:
+    """Return a description whose named frames are massless bodies on fixed joints."""
+    bodies = tuple(Body(frame.name, origin=frame.origin) for frame in description.frames)
+    joints = tuple(
+        Joint(f"{frame.name}_fixed", "fixed", frame.body, frame.name, frame.placement, origin=frame.origin)
+        for frame in description.frames
+    )
+    return replace(description, bodies=description.bodies + bodies, joints=description.joints + joints, frames=())
 
 
-def _is_massive(link: Link) -> bool:
-    return link.inertial is not None and link.mass > 0.0 and min(link.inertial.moments[:3]) > 0.0
+def _without_meshes(body: Body) -> Body:
+    def kept(shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
+        return tuple(shape for shape in shapes if shape.kind != "mesh")
+
+    return replace(body, visuals=kept(body.visuals), collisions=kept(body.collisions))
+
+
+def _is_massive(body: Body) -> bool:
+    return body.inertial is not None and body.mass > 0.0 and min(body.inertial.moments[:3]) > 0.0

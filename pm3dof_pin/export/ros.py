@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from xml.sax.saxutils import escape
+
+import yaml
 
 import pm3dof_pin
 from pm3dof_pin.export.plain_urdf import description_texts
@@ -173,9 +176,14 @@ def ros_files(
         "package.xml": _PACKAGE.format(package=package, **manifest),
         "CMakeLists.txt": _CMAKE.format(package=package),
         "launch/display.launch.py": _LAUNCH.format(package=package, name=robot.file_name),
-        "rviz/display.rviz": _RVIZ.format(base=robot.urdf.root.name, **view),
+        "rviz/display.rviz": _RVIZ.format(base=_yaml_word(robot.description.root.name), **view),
         **{f"{folder}/{name}": text for folder, name, text in _description(robot, f"package://{package}/")},
     }
+
+
+def _yaml_word(text: str) -> str:
+    """Write text as a YAML scalar, quoted where it needs to be."""
+    return yaml.safe_dump([text], default_flow_style=True, width=math.inf, allow_unicode=True).strip()[1:-1]
 
 
 def _description(robot: RobotDocument, mesh_prefix: str) -> Iterator[tuple[str, str, str]]:

@@ -7,12 +7,16 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.export.robot_document import RobotDocument
-from pm3dof_pin.export.urdf_document import WORLD, Inertial, Joint, Link, Origin, Shape
+from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.description.description import Body, Inertial, Joint, Placement, Shape
+from pm3dof_pin.export.robot_document import WORLD, RobotDocument, unit_axis
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
 _VERSION = "1.7"
 """The first version with frames, and joints between them."""
+
+_VERSION_WITH_MIMIC = "1.11"
+_CLOSURES = {"3d": "ball", "6d": "fixed", "hinge": "revolute", "universal": "universal", "prismatic": "prismatic"}
 
 _BANNER = "{name} in SDFormat, generated from its description by `pm3dof export sdf`. Edit that, not this file."
 
@@ -22,16 +26,18 @@ def sdf_text(robot: RobotDocument) -> str:
 
     Links that move or have mass become links, on joints of the same names. Massless links at the end of a fixed joint
     become frames, and their shapes belong to the link that carries them. Each loop closure becomes a joint
-    `<frame_a>_<frame_b>` of type `ball` (3d) or `fixed` (6d). The root is fixed to the world. The poses are those of
-    the home configuration, with the loops closed, where every joint is at zero: if home is not at zero in the URDF,
-    coordinates and limits are measured from home.
+    `<frame_a>_<frame_b>` of type `ball` (3d), `fixed` (6d), `revolute`, `universal` or `prismatic`; a coupling a
+    `mimic` (SDFormat 1.11). The root is fixed to the world. The poses are those of the home configuration, with the
+    loops closed, where every joint is at zero: if home is not at zero in the URDF, coordinates and limits are measured
+    from home.
 
     Raises:
-        DescriptionError: the end of a branch is movable and massless, which SDFormat cannot express.
+        DescriptionError: the end of a branch is movable and massless, which SDFormat cannot express; or a closure or
+            coupling is none of these.
         ConvergenceError: the loops do not close near the home configuration.
     """
     robot = robot.with_moving_mass("SDFormat")
-    root = Element("sdf", version=_VERSION)
+    root = Element("sdf", version=_VERSION_WITH_MIMIC if robot.mechanism.couplings else _VERSION)
     _Writer(robot, SubElement(root, "model", name=robot.name)).write()
     return document_text(root, _BANNER.format(name=robot.name))
 
@@ -40,22 +46,42 @@ class _Writer:
     def __init__(self, robot: RobotDocument, model: Element) -> None:
         self._robot = robot
         self._model = model
+        self._mimicked = robot.mimicked("SDFormat")
         self._links: dict[str, Element] = {}
         self._shape_names: dict[str, set[str]] = {}
 
     def write(self) -> None:
-        urdf = self._robot.urdf
-        if urdf.root.name != WORLD:
-            self._joint(f"{WORLD}_{urdf.root.name}", "fixed", WORLD, urdf.root.name)
-            self._link(urdf.root, None)
-        self._below(urdf.root)
-        for loop, (one, other) in zip(self._robot.closures, self._robot.closure_links, strict=True):
-            parent, child = (one, other) if one == WORLD else (other, one)  # the world cannot be a child
-            self._joint(f"{loop.frame_a}_{loop.frame_b}", "ball" if loop.type == "3d" else "fixed", parent, child)
+        root = self._robot.description.root
+        if root.name != WORLD:
+            self._joint(f"{WORLD}_{root.name}", "fixed", WORLD, root.name)
+            self._link(root, None)
+        self._below(root)
+        for loop, links in zip(self._robot.closures, self._robot.closure_links, strict=True):
+            self._closure(loop, *links)
 
-    def _below(self, link: Link) -> None:
-        for joint in self._robot.urdf.below(link.name):
-            child = self._robot.urdf.links[joint.child]
+    def _closure(self, loop: LoopClosure, one: str, other: str) -> None:
+        if loop.type not in _CLOSURES:
+            raise self._robot.refusal(loop, "SDFormat")
+        kind = _CLOSURES[loop.type]
+        # the world cannot be a child; a universal joint's first axis is that of its parent
+        parent, child = (one, other) if one == WORLD or loop.type == "universal" else (other, one)
+        element = self._joint(f"{loop.frame_a}_{loop.frame_b}", kind, parent, child)
+        if loop.kind.axis is None:
+            return
+        axes = loop.bases or (np.eye(3), np.eye(3))
+        if loop.type == "universal":
+            first, second = (
+                SubElement(SubElement(element, tag), "xyz", expressed_in=frame)
+                for tag, frame in (("axis", one), ("axis2", other))
+            )
+            first.text, second.text = numbers_text(axes[0][:, 0]), numbers_text(axes[1][:, 1])
+        else:
+            in_child = axes[0 if child == one else 1]
+            SubElement(SubElement(element, "axis"), "xyz").text = numbers_text(in_child[:, 2])
+
+    def _below(self, link: Body) -> None:
+        for joint in self._robot.description.joints_below[link.name]:
+            child = self._robot.description.body_by_name[joint.child]
             if self._is_frame(child, joint):
                 self._frame(child, joint)
             else:
@@ -63,19 +89,19 @@ class _Writer:
                 self._tree_joint(joint)
             self._below(child)
 
-    def _is_frame(self, link: Link, joint: Joint) -> bool:
+    def _is_frame(self, link: Body, joint: Joint) -> bool:
         return joint.is_fixed and link.mass == 0.0 and joint.parent != WORLD
 
-    def _frame(self, link: Link, joint: Joint) -> None:
+    def _frame(self, link: Body, joint: Joint) -> None:
         frame = SubElement(self._model, "frame", name=link.name, attached_to=joint.parent)
-        _pose(frame, joint.origin)
+        _pose(frame, joint.placement)
         carrier = link.name
         while carrier not in self._links:
-            above = self._robot.urdf.above(carrier)
+            above = self._robot.description.joint_above.get(carrier)
             carrier = above.parent if above is not None else WORLD
         self._shapes(carrier, link, link.name)
 
-    def _link(self, link: Link, joint: Joint | None) -> None:
+    def _link(self, link: Body, joint: Joint | None) -> None:
         element = self._links[link.name] = SubElement(self._model, "link", name=link.name)
         if joint is not None:
             parent = {} if joint.parent == WORLD else {"relative_to": joint.parent}
@@ -85,26 +111,24 @@ class _Writer:
         self._shape_names[link.name] = set()
         self._shapes(link.name, link, None)
 
-    def _placed_at_home(self, joint: Joint) -> Origin:
+    def _placed_at_home(self, joint: Joint) -> Placement:
         """Placement of the child in the parent in the home configuration."""
         position = self._robot.home_position(joint)
         if position == 0.0:
-            return joint.origin
-        axis = np.array(joint.axis)
-        moved = pin.SE3(joint.origin.rotation, np.array(joint.origin.position))
-        if joint.kind == "prismatic":
-            moved = moved * pin.SE3(np.eye(3), position * axis)
-        else:
-            moved = moved * pin.SE3(pin.exp3(position * axis), np.zeros(3))
-        return Origin(tuple(moved.translation), tuple(pin.rpy.matrixToRpy(moved.rotation)))
+            return joint.placement
+        way = position * unit_axis(joint)
+        is_slide = joint.type == "prismatic"
+        moved = pin.SE3(np.eye(3), way) if is_slide else pin.SE3(pin.exp3(way), np.zeros(3))
+        return Placement.from_se3(joint.placement.se3 * moved)
 
     def _tree_joint(self, joint: Joint) -> None:
-        kind = {"prismatic": "prismatic", "fixed": "fixed"}.get(joint.kind, "revolute")
+        kind = {"prismatic": "prismatic", "fixed": "fixed"}.get(joint.type, "revolute")
         element = self._joint(joint.name, kind, joint.parent, joint.child)
         if joint.is_fixed:
             return
         axis = SubElement(element, "axis")
-        SubElement(axis, "xyz").text = numbers_text(joint.axis)
+        SubElement(axis, "xyz").text = numbers_text(unit_axis(joint))
+        self._mimic(axis, joint)
         limit = SubElement(axis, "limit")
         for tag, bound in (("lower", joint.lower), ("upper", joint.upper)):
             if bound is not None:
@@ -119,17 +143,28 @@ class _Writer:
             SubElement(dynamics, "damping").text = number_text(joint.damping)
             SubElement(dynamics, "friction").text = number_text(joint.friction)
 
+    def _mimic(self, axis: Element, joint: Joint) -> None:
+        """Write a coupling, between coordinates that are measured from home."""
+        if joint.name not in self._mimicked:
+            return
+        other, ratio, offset = self._mimicked[joint.name]
+        leader = self._robot.home_position(self._robot.description.joint(other))
+        mimic = SubElement(axis, "mimic", joint=other)
+        SubElement(mimic, "multiplier").text = number_text(ratio)
+        SubElement(mimic, "offset").text = number_text(ratio * leader + offset - self._robot.home_position(joint))
+        SubElement(mimic, "reference").text = "0"
+
     def _joint(self, name: str, kind: str, parent: str, child: str) -> Element:
         element = SubElement(self._model, "joint", name=name, type=kind)
         SubElement(element, "parent").text = parent
         SubElement(element, "child").text = child
         return element
 
-    def _shapes(self, carrier: str, link: Link, frame: str | None) -> None:
+    def _shapes(self, carrier: str, link: Body, frame: str | None) -> None:
         for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
             for shape in shapes:
                 element = SubElement(self._links[carrier], tag, name=self._shape_name(carrier, tag, shape))
-                _pose(element, shape.origin, {} if frame is None else {"relative_to": frame})
+                _pose(element, shape.placement, {} if frame is None else {"relative_to": frame})
                 self._geometry(SubElement(element, "geometry"), shape)
                 if tag == "visual" and shape.colour is not None:
                     material = SubElement(element, "material")
@@ -158,15 +193,15 @@ class _Writer:
                 SubElement(element, tag).text = number_text(size)
 
 
-def _pose(element: Element, origin: Origin, attributes: dict[str, str] | None = None) -> None:
-    if attributes or origin != Origin():
-        numbers = numbers_text([*origin.position, *origin.roll_pitch_yaw])
+def _pose(element: Element, placement: Placement, attributes: dict[str, str] | None = None) -> None:
+    if attributes or not placement.is_identity:
+        numbers = numbers_text([*placement.position, *placement.roll_pitch_yaw])
         SubElement(element, "pose", attributes or {}).text = numbers
 
 
 def _inertial(link: Element, inertial: Inertial) -> None:
     element = SubElement(link, "inertial")
-    _pose(element, inertial.origin)
+    _pose(element, inertial.placement)
     SubElement(element, "mass").text = number_text(inertial.mass)
     moments = SubElement(element, "inertia")
     for tag, moment in zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), inertial.moments, strict=True):

@@ -264,6 +264,7 @@ def _closures(mechanism: Mechanism) -> dict[str, Any]:
     content: dict[str, Any] = {
         "closed_loop": [[loop.frame_a, loop.frame_b] for loop in mechanism.closures],
         "type": [loop.type for loop in mechanism.closures],
+        **closure_entries(mechanism),
         "name_mot": list(mechanism.actuated_joints),
         "tool_frame": mechanism.tool_frame,
         "motion_coordinates": list(mechanism.motion_coordinates),
@@ -279,6 +280,25 @@ def _closures(mechanism: Mechanism) -> dict[str, Any]:
         "springs": [_plain(spring) for spring in mechanism.springs],
     }
     return {key: value for key, value in content.items() if value}
+
+
+def closure_entries(mechanism: Mechanism) -> dict[str, Any]:
+    """Return axes and lengths of closures, and couplings, as entries of a closures file."""
+    axes = [_without_none({"axis": loop.axis, "axis_b": loop.axis_b}) for loop in mechanism.closures]
+    lengths = [loop.length for loop in mechanism.closures]
+    couplings = [
+        {
+            "joint": coupling.joint,
+            "of": {name: list(powers) for name, powers in zip(coupling.joints, coupling.coefficients, strict=True)},
+            "offset": coupling.offset,
+        }
+        for coupling in mechanism.couplings
+    ]
+    return {
+        "closure_axes": [_plain(entry) or None for entry in axes] if any(axes) else [],
+        "closure_lengths": lengths if any(lengths) else [],
+        "couplings": couplings,
+    }
 
 
 def _coordinate(entries: dict[str, Any]) -> dict[str, Any]:

@@ -41,7 +41,7 @@ MODULES = {
     "errors/pose_error.py": ["errors/test_pose_error.py"],
     "calibration/identification.py": ["measuring/test_nuisances.py", "calibration/test_identification.py"],
     "calibration/linearisation.py": ["calibration/test_identification.py"],
-    "export/urdf_document.py": ["export/test_mujoco.py", "export/test_sdf.py"],
+    "export/robot_document.py": ["export/test_closure_types.py", "export/test_mujoco.py", "export/test_sdf.py"],
     "export/mjcf.py": ["export/test_mujoco.py"],
     "viewer/server.py": ["viewer/test_server.py"],
 }
