@@ -1,0 +1,1 @@
+"""What drives can do at a pose: greatest forces, torques and speeds, as polytopes."""

@@ -1,0 +1,204 @@
+"""Sets of forces or rates that bounded drives can give: convex polytopes as inequalities, for many poses at once.
+
+A polytope is {x : N x <= b} with unit normals N, shape=(..., m, d), and offsets b, shape=(..., m). With as many drives
+as degrees of freedom the set of forces is a parallelepiped; with more it is a zonotope, the image of a box under a
+linear map (T. Yoshikawa, Foundations of Robotics, 1990; R. Finotello et al., ICRA 1998). All lengths below are measured
+from the origin, the state without load, which gravity may push out of the set: then they are negative or NaN.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Array, Matrix
+
+_PARALLEL = 1e-10  # relative length of a normal to generators that are linearly dependent
+_SAME = 1e-9  # relative distance of vertices that are one
+
+
+@dataclass(frozen=True, eq=False)
+class Polytopes:
+    """Convex polytopes {x : N x <= b}, one for each pose of a batch.
+
+    Example:
+        Two drives of 3 and 2 N along axes at right angles push at most 2 N in every direction:
+
+        >>> import numpy as np
+        >>> from pm3dof_pin.capability.polytopes import Polytopes
+        >>> forces = Polytopes.from_box(np.eye(2), [-3.0, -2.0], [3.0, 2.0])
+        >>> float(forces.ball_radius), forces.extent([1.0, 0.0]).tolist()
+        (2.0, 3.0)
+    """
+
+    normals: Array  #: outward unit normals, shape=(..., m, d)
+    offsets: Array  #: distances of the facets from the origin, negative if it is outside, shape=(..., m)
+
+    @classmethod
+    def from_inequalities(cls, rows: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Polytopes:
+        """Return {x : lower <= R x <= upper}, as of speeds: R maps rates of the tool to those of the drives.
+
+        Args:
+            rows: R, shape=(..., u, d).
+            lower: least values, shape=(..., u); may be infinite.
+            upper: greatest values, shape=(..., u); may be infinite.
+        """
+        matrix = np.asarray(rows, dtype=float)
+        ends = [np.broadcast_to(np.asarray(end, dtype=float), matrix.shape[:-1]) for end in (lower, upper)]
+        lengths = np.linalg.norm(matrix, axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            units = np.where(lengths[..., None] > 0.0, matrix / lengths[..., None], 0.0)
+            # a row of zeros bounds nothing, or excludes everything
+            offsets = [
+                np.where(lengths > 0.0, end / lengths, np.where(end >= 0.0, np.inf, -np.inf))
+                for end in (-ends[0], ends[1])
+            ]
+        return cls(frozen(np.concatenate([-units, units], axis=-2)), frozen(np.concatenate(offsets, axis=-1)))
+
+    @classmethod
+    def from_box(
+        cls, generators: ArrayLike, lower: ArrayLike, upper: ArrayLike, *, centre: ArrayLike = 0.0
+    ) -> Polytopes:
+        """Return {M t + c : lower <= t <= upper}, as of forces: M maps forces of the drives to those of the tool.
+
+        Every facet is parallel to d - 1 of the columns of M.
+
+        Args:
+            generators: M, shape=(..., d, u), with u >= d.
+            lower: least force of each drive, shape=(..., u); finite.
+            upper: greatest force of each drive, shape=(..., u); finite.
+            centre: c, what all other forces add, shape=(..., d).
+
+        Raises:
+            InvalidValueError: there are fewer drives than dimensions, or ends are not finite or exchanged.
+        """
+        matrix = np.asarray(generators, dtype=float)
+        dimensions, count = matrix.shape[-2:]
+        low, high = (np.asarray(end, dtype=float) for end in (lower, upper))
+        if count < dimensions:
+            raise InvalidValueError("generators", f"{count} drives", f"at least {dimensions}, one per dimension")
+        if not (np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
+            raise InvalidValueError("limits of the drives", (lower, upper), "finite ends, the lower one first")
+        normals = np.stack(
+            [_normal(matrix[..., list(chosen)]) for chosen in combinations(range(count), dimensions - 1)], axis=-2
+        )
+        along = normals @ matrix  # shape=(..., m, u)
+        middle = np.einsum("...md,...d->...m", normals, np.asarray(centre) + _times(matrix, 0.5 * (low + high)))
+        half = np.einsum("...mu,...u->...m", np.abs(along), 0.5 * (high - low))
+        missing = ~np.any(normals, axis=-1)  # of dependent generators
+        offsets = [np.where(missing, np.inf, half + sign * middle) for sign in (1.0, -1.0)]
+        return cls(frozen(np.concatenate([normals, -normals], axis=-2)), frozen(np.concatenate(offsets, axis=-1)))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the batch."""
+        return self.offsets.shape[:-1]
+
+    @property
+    def contains_origin(self) -> Array:
+        """Whether the unloaded state is possible, shape=(...)."""
+        return np.asarray((self.offsets >= 0.0).all(axis=-1))
+
+    @property
+    def ball_radius(self) -> Array:
+        """Radius of the greatest ball about the origin inside, shape=(...); negative if the origin is outside."""
+        return np.asarray(self.offsets.min(axis=-1))
+
+    def box_scale(self, half_edges: ArrayLike) -> Array:
+        """Return the greatest factor by which a box about the origin fits inside, shape=(...).
+
+        Args:
+            half_edges: half the box's edges, shape=(d,).
+        """
+        reach = np.abs(self.normals) @ np.asarray(half_edges, dtype=float)
+        return np.asarray(_ratio(self.offsets, reach).min(axis=-1))
+
+    def extent(self, directions: ArrayLike) -> Array:
+        """Return how far directions lead from the origin to the boundary, in multiples of each; NaN if it is outside.
+
+        Args:
+            directions: shape=(..., d), broadcast against the batch.
+
+        Returns:
+            Shape=(...); infinite where nothing bounds.
+        """
+        along = np.einsum("...md,...d->...m", self.normals, np.asarray(directions, dtype=float))
+        far = _ratio(self.offsets, along, only_positive=True).min(axis=-1)
+        return np.asarray(np.where(self.contains_origin, far, np.nan))
+
+    def margin(self, point: ArrayLike) -> Array:
+        """Return the distance of a point from the nearest facet, shape=(...); negative outside."""
+        along = np.einsum("...md,...d->...m", self.normals, np.asarray(point, dtype=float))
+        return np.asarray((self.offsets - along).min(axis=-1))
+
+    def vertices(self, index: int | tuple[int, ...] = ()) -> Matrix:
+        """Return the vertices of one polytope of the batch, shape=(n, d); none if it is empty.
+
+        Raises:
+            InvalidValueError: the polytope is unbounded.
+        """
+        normals, offsets = self.normals[index], self.offsets[index]
+        bounds = np.isfinite(offsets) & normals.any(axis=-1)
+        if np.isneginf(offsets).any():
+            return np.zeros((0, normals.shape[-1]))
+        return _vertices(normals[bounds], offsets[bounds])
+
+
+def _vertices(normals: Matrix, offsets: Array) -> Matrix:
+    """Intersect half-spaces by duality about their Chebyshev centre."""
+    from scipy.optimize import linprog
+    from scipy.spatial import HalfspaceIntersection
+
+    dimensions = normals.shape[1]
+    if dimensions == 1:
+        ends = offsets / normals[:, 0]
+        low, high = ends[normals[:, 0] < 0.0].max(initial=-np.inf), ends[normals[:, 0] > 0.0].min(initial=np.inf)
+        if not np.isfinite([low, high]).all():
+            raise InvalidValueError("polytope", "unbounded", "finite limits of all drives that matter")
+        return np.array([[low], [high]]) if low <= high else np.zeros((0, 1))
+    size = float(np.abs(offsets).max(initial=0.0)) or 1.0
+    system = np.hstack([normals, np.ones((len(normals), 1))])
+    bounds = [(None, None)] * dimensions + [(0.0, None)]
+    found = linprog([0.0] * dimensions + [-1.0], A_ub=system, b_ub=offsets / size, bounds=bounds)
+    if found.status == 2:
+        return np.zeros((0, dimensions))
+    if found.status != 0 or np.linalg.matrix_rank(normals) < dimensions:
+        raise InvalidValueError("polytope", "unbounded", "finite limits of all drives that matter")
+    if found.x[-1] <= _SAME:  # flat: gravity leaves no room
+        return np.asarray(size * found.x[None, :-1])
+    corners = HalfspaceIntersection(np.hstack([normals, -offsets[:, None] / size]), found.x[:-1]).intersections
+    if not np.isfinite(corners).all():
+        raise InvalidValueError("polytope", "unbounded", "finite limits of all drives that matter")
+    _, first = np.unique(np.round(corners / _SAME), axis=0, return_index=True)
+    return np.asarray(size * corners[np.sort(first)])
+
+
+def _normal(columns: Array) -> Array:
+    """Return unit vectors normal to d - 1 columns, shape=(..., d, d - 1): zero where the columns are dependent."""
+    dimensions = columns.shape[-2]
+    signs = (-1.0) ** np.arange(dimensions)
+    rows = [np.delete(columns, row, axis=-2) for row in range(dimensions)]
+    minors = [np.linalg.det(row) if dimensions > 1 else np.ones(columns.shape[:-2]) for row in rows]
+    normal = signs * np.stack(minors, axis=-1)
+    lengths = np.linalg.norm(normal, axis=-1, keepdims=True)
+    usual = np.prod(np.linalg.norm(columns, axis=-2), axis=-1)[..., None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(lengths > _PARALLEL * usual, normal / lengths, 0.0))
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return np.asarray(
+        np.einsum("...du,...u->...d", matrix, np.broadcast_to(vector, (*matrix.shape[:-2], matrix.shape[-1])))
+    )
+
+
+def _ratio(offsets: Array, lengths: Array, *, only_positive: bool = False) -> Array:
+    """Return offsets / lengths, infinite where a length is zero, or not positive if `only_positive`."""
+    counts = lengths > 0.0 if only_positive else lengths != 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(counts, offsets / lengths, np.where(offsets < 0.0, -np.inf, np.inf)))
