@@ -72,6 +72,9 @@ class _Joint(Protocol):
     def screws(self, moving: Placement) -> list[Screw]:
         """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
 
+    def rate(self, q: Objects, v: Objects) -> Objects:
+        """Return dq/dt at the velocity v."""
+
     def step(self, q: Objects, v: Objects) -> Objects:
         """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
 
@@ -94,6 +97,9 @@ class _Revolute:
     def screws(self, moving: Placement) -> list[Screw]:
         return [Screw(moving.rotation @ self.axis, _NO_MOTION, moving.translation)]
 
+    def rate(self, q: Objects, v: Objects) -> Objects:
+        return v
+
     def step(self, q: Objects, v: Objects) -> Objects:
         return objects(q + v)
 
@@ -107,8 +113,11 @@ class _Continuous(_Revolute):
     def displacement(self, q: Objects) -> Placement:
         return Placement(_rotation(self.axis, q[0], q[1]), _NO_MOTION)
 
+    def rate(self, q: Objects, v: Objects) -> Objects:
+        return objects([-(q[1] * v[0]), q[0] * v[0]])
+
     def step(self, q: Objects, v: Objects) -> Objects:
-        return q if is_zero(v[0]) else _normalised(objects([q[0] - q[1] * v[0], q[1] + q[0] * v[0]]))
+        return q if is_zero(v[0]) else _normalised(q + self.rate(q, v))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +133,9 @@ class _Prismatic:
 
     def screws(self, moving: Placement) -> list[Screw]:
         return [Screw(_NO_MOTION, moving.rotation @ self.axis, moving.translation)]
+
+    def rate(self, q: Objects, v: Objects) -> Objects:
+        return v
 
     def step(self, q: Objects, v: Objects) -> Objects:
         return objects(q + v)
@@ -152,11 +164,11 @@ class _Spherical:
         return [Screw(axis, _NO_MOTION, moving.translation) for axis in moving.rotation.T]
 
     def step(self, q: Objects, v: Objects) -> Objects:
-        if all(is_zero(rate) for rate in v):
-            return q
+        return q if all(map(is_zero, v)) else _normalised(q + self.rate(q, v))
+
+    def rate(self, q: Objects, v: Objects) -> Objects:
         half = v * 0.5
-        vector = q[:3] + half * q[3] + cross(q[:3], half)
-        return _normalised(objects([*vector, q[3] - q[:3] @ half]))
+        return objects([*(half * q[3] + cross(q[:3], half)), -(q[:3] @ half)])
 
 
 class _FreeFlyer:
@@ -172,9 +184,12 @@ class _FreeFlyer:
         slides = [Screw(_NO_MOTION, axis, moving.translation) for axis in moving.rotation.T]
         return slides + _Spherical().screws(moving)
 
+    def rate(self, q: Objects, v: Objects) -> Objects:
+        return objects([*(self.displacement(q).rotation @ v[:3]), *_Spherical().rate(q[3:], v[3:])])
+
     def step(self, q: Objects, v: Objects) -> Objects:
         turned = _Spherical().step(q[3:], v[3:])
-        return objects([*(q[:3] + self.displacement(q).rotation @ v[:3]), *turned])
+        return objects([*(q[:3] + self.rate(q, v)[:3]), *turned])
 
 
 class _Planar:
@@ -191,9 +206,13 @@ class _Planar:
         slides = [Screw(_NO_MOTION, axis, moving.translation) for axis in (x, y)]
         return [*slides, Screw(z, _NO_MOTION, moving.translation)]
 
+    def rate(self, q: Objects, v: Objects) -> Objects:
+        turned = _Continuous(objects(_AXES["Z"])).rate(q[2:], v[2:])
+        return objects([q[2] * v[0] - q[3] * v[1], q[3] * v[0] + q[2] * v[1], *turned])
+
     def step(self, q: Objects, v: Objects) -> Objects:
         turned = _Continuous(objects(_AXES["Z"])).step(q[2:], v[2:])
-        return objects([q[0] + q[2] * v[0] - q[3] * v[1], q[1] + q[3] * v[0] + q[2] * v[1], *turned])
+        return objects([*(q[:2] + self.rate(q, v)[:2]), *turned])
 
 
 @dataclass(frozen=True, eq=False)

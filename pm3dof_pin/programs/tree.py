@@ -115,5 +115,14 @@ class Tree:
                 moved[link.q_index : link.q_index + joint.nq] = joint.step(self._coordinates(link), v)
         return moved
 
+    def rate(self, velocities: Objects) -> Objects:
+        """Return dq/dt at velocities v, shape=(nq,)."""
+        rates = objects([0.0] * len(self.q))
+        for link in self.links:
+            joint = link.joint
+            v = velocities[link.v_index : link.v_index + joint.nv]
+            rates[link.q_index : link.q_index + joint.nq] = joint.rate(self._coordinates(link), v)
+        return rates
+
     def _coordinates(self, link: ChainJoint) -> Objects:
         return self.q[link.q_index : link.q_index + link.joint.nq]

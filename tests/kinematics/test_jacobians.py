@@ -1,0 +1,111 @@
+"""Jacobians between descriptions of motion, against differences of solved poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pm3dof_pin as pm
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.kinematics.jacobians import jacobian
+from pm3dof_pin.kinematics.robot import Robot
+
+_MACHINES = Path(__file__).parents[1] / "machines"
+_ROBOTS = {
+    "pm3dof": [0.05, -0.1, 0.5],
+    "hexapod": [0.002, -0.003, 0.136, 0.05, -0.04, 0.06],
+    "three_rps": None,
+    "linear_delta": None,
+    "five_bar": None,
+}
+
+
+@pytest.fixture(scope="module", params=_ROBOTS)
+def robot(request: pytest.FixtureRequest) -> Robot:
+    name = request.param
+    return pm.load(_MACHINES / name if (_MACHINES / name).exists() else name)
+
+
+@pytest.fixture(scope="module")
+def pose(robot: Robot) -> np.ndarray:
+    generator = np.random.default_rng(3)
+    return np.array(pm.reachable_poses(robot, 1, generator, margin=0.2).coordinates[0])
+
+
+def _differences(robot: Robot, pose: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return first and second derivatives of the commands by the coordinates, by central differences."""
+    size = len(pose)
+    steps = step * np.eye(size)
+
+    def commands(values: np.ndarray) -> np.ndarray:
+        return np.array(robot.solve(values, guess=robot.solve(pose).q).commands)
+
+    first = np.stack([(commands(pose + e) - commands(pose - e)) / (2.0 * step) for e in steps], axis=1)
+    second = np.empty((len(first), size, size))
+    for i, a in enumerate(steps):
+        for j, b in enumerate(steps):
+            corners = commands(pose + a + b) - commands(pose + a - b) - commands(pose - a + b) + commands(pose - a - b)
+            second[:, i, j] = corners / (4.0 * step**2)
+    return first, second
+
+
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+def test_commands_by_coordinates_are_the_derivatives_of_solve(robot: Robot, pose: np.ndarray, engine: str) -> None:
+    poses = robot.solve(np.tile(pose, (250 if engine == "program" else 8, 1)))
+    found = jacobian(robot, poses, of="commands", by="coordinates", with_derivatives=True, engine=engine)
+    first, second = _differences(robot, pose, 1e-4 * robot.characteristic_length)
+    assert found.columns == tuple(c.name for c in robot.coordinates)
+    np.testing.assert_allclose(found.values[7], first, atol=1e-7 * np.abs(first).max())
+    assert found.derivatives is not None
+    np.testing.assert_allclose(found.derivatives[7], second, atol=2e-5 * np.abs(second).max())
+
+
+def test_both_engines_agree(robot: Robot) -> None:
+    poses = pm.reachable_poses(robot, 250, np.random.default_rng(0), margin=0.1)
+    for of, by in (("tool", "commands"), ("commands", "coordinates"), ("joints", "commands")):
+        program = jacobian(robot, poses, of=of, by=by, with_derivatives=True)
+        reference = jacobian(robot, poses[:3], of=of, by=by, with_derivatives=True, engine="pinocchio")
+        for one, other in ((program.values, reference.values), (program.derivatives, reference.derivatives)):
+            assert one is not None
+            assert other is not None
+            np.testing.assert_allclose(one[:3], other, rtol=0.0, atol=1e-9 * np.abs(other).max())
+
+
+def test_power_is_the_same_in_every_description(robot: Robot) -> None:
+    """Forces map by the transposed Jacobian: the drives' power is that of the coordinates."""
+    generator = np.random.default_rng(1)
+    poses = pm.reachable_poses(robot, 300, generator)
+    J = jacobian(robot, poses, of="commands", by="coordinates").values
+    rates, forces = generator.normal(size=(300, J.shape[2])), generator.normal(size=(300, J.shape[1]))
+    drives = np.einsum("nk,nkm,nm->n", forces, J, rates)
+    coordinates = np.einsum("nm,nm->n", np.einsum("nkm,nk->nm", J, forces), rates)
+    np.testing.assert_allclose(drives, coordinates, atol=1e-12 * np.abs(drives).max())
+
+
+def test_inverse_descriptions_are_inverse_matrices(robot: Robot, pose: np.ndarray) -> None:
+    configuration = robot.solve(pose).configuration()
+    there = jacobian(robot, configuration, of="commands", by="coordinates").values
+    back = jacobian(robot, configuration, of="coordinates", by="commands").values
+    np.testing.assert_allclose(there @ back, np.eye(len(there)), atol=1e-10)
+
+
+def test_units_and_names() -> None:
+    robot = pm.load("pm3dof")
+    found = jacobian(robot, robot.home, of="tool", by=["theta_x", "z_e", "theta_y"])
+    assert found.columns == ("theta_x", "z_e", "theta_y")
+    assert found.column_units == ("rad/s", "m/s", "rad/s")
+    np.testing.assert_allclose(found.values[:, 1], [0, 0, 1, 0, 0, 0], atol=1e-12)
+    with pytest.raises(InvalidValueError, match="theta_x"):
+        jacobian(robot, robot.home, of="tool", by=["theta"])
+    with pytest.raises(SingularConfigurationError, match="can move while theta_x"):
+        jacobian(robot, robot.home, of="commands", by=["theta_x", "theta_y"])
+
+
+def test_singular_poses_say_so() -> None:
+    hexapod = pm.load("hexapod")
+    turned = hexapod.solve([0.0, 0.0, 0.135, 0.0, 0.0, np.pi / 2])
+    with pytest.raises(SingularConfigurationError, match="rest"):
+        jacobian(hexapod, turned, of="tool", by="commands")
+    assert np.isnan(jacobian(hexapod, turned, of="tool", by="commands", on_failure="nan").values).all()
