@@ -50,7 +50,7 @@ _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class _Rate:
+class Rate:
     """A scalar rate: scale times that of a joint, or a component of a frame's twist, or of the tool's angles."""
 
     name: str
@@ -112,7 +112,7 @@ def jacobian(
         DescriptionError: the tool's motion is wanted, and the robot has no tool frame.
     """
     require_kind("robot", robot, Robot, "pm.load")
-    rows, columns = _rates(robot, "of", of), _rates(robot, "by", by)
+    rows, columns = motion_rates(robot, "of", of), motion_rates(robot, "by", by)
     k, m = len(rows), len(columns)
 
     def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
@@ -129,15 +129,19 @@ def jacobian(
         robot, poses, "Jacobian", (size,), program=program, careful=reference, program_from=_PROGRAM_FROM, **options
     ).values
     batch = values.shape[:-1]
+    names = [tuple(rate.name for rate in rates) for rates in (rows, columns)]
+    units = [tuple(rate.unit for rate in rates) for rates in (rows, columns)]
     return Jacobian(
         frozen(values[..., : k * m].reshape(*batch, k, m)),
-        *(tuple(rate.name for rate in rates) for rates in (rows, columns)),
-        *(tuple(rate.unit for rate in rates) for rates in (rows, columns)),
-        frozen(values[..., k * m :].reshape(*batch, k, m, m)) if with_derivatives else None,
+        rows=names[0],
+        columns=names[1],
+        row_units=units[0],
+        column_units=units[1],
+        derivatives=frozen(values[..., k * m :].reshape(*batch, k, m, m)) if with_derivatives else None,
     )
 
 
-def _rates(robot: Robot, argument: str, motion: MotionName) -> tuple[_Rate, ...]:
+def motion_rates(robot: Robot, argument: str, motion: MotionName) -> tuple[Rate, ...]:
     """Return the rates of a description of motion."""
     if isinstance(motion, str):
         match motion:
@@ -162,21 +166,21 @@ def _rates(robot: Robot, argument: str, motion: MotionName) -> tuple[_Rate, ...]
     return tuple(_named(robot, argument, name) for name in motion)
 
 
-def _of_coordinate(coordinate: Coordinate) -> _Rate:
+def _of_coordinate(coordinate: Coordinate) -> Rate:
     unit = f"{coordinate.unit}/s"
     if coordinate.joint is not None:
-        return _Rate(coordinate.name, unit, coordinate.scale, joint=coordinate.joint)
-    return _Rate(coordinate.name, unit, coordinate.scale, component=coordinate.tool, is_angle=coordinate.unit == "rad")
+        return Rate(coordinate.name, unit, coordinate.scale, joint=coordinate.joint)
+    return Rate(coordinate.name, unit, coordinate.scale, component=coordinate.tool, is_angle=coordinate.unit == "rad")
 
 
-def _of_joint(robot: Robot, name: str) -> _Rate:
-    return _Rate(name, f"{robot.single_joint(name).unit}/s", joint=name)
+def _of_joint(robot: Robot, name: str) -> Rate:
+    return Rate(name, f"{robot.single_joint(name).unit}/s", joint=name)
 
 
-def _twist(frame: str) -> tuple[_Rate, ...]:
+def _twist(frame: str) -> tuple[Rate, ...]:
     units = ("m/s",) * 3 + ("rad/s",) * 3
     return tuple(
-        _Rate(name, unit, frame=frame, component=component)
+        Rate(name, unit, frame=frame, component=component)
         for name, unit, component in zip(_TWIST, units, TOOL_COMPONENTS, strict=True)
     )
 
@@ -186,7 +190,7 @@ def _is_known(robot: Robot, name: str) -> bool:
     return name in known or name in list(robot.model.names)[1:]
 
 
-def _named(robot: Robot, argument: str, name: str) -> _Rate:
+def _named(robot: Robot, argument: str, name: str) -> Rate:
     """Return a rate by name: of a joint, or else of a coordinate, or else of a command."""
     if name in list(robot.model.names)[1:]:
         return _of_joint(robot, name)
@@ -197,14 +201,14 @@ def _named(robot: Robot, argument: str, name: str) -> _Rate:
     raise InvalidValueError(argument, name, f"a joint, coordinate or command: {', '.join(dict.fromkeys(known))}")
 
 
-def _frame(robot: Robot, rate: _Rate) -> str:
+def _frame(robot: Robot, rate: Rate) -> str:
     return robot.frame_name(rate.frame)
 
 
 class _Reference:
     """The Jacobian at one configuration, on Pinocchio's Jacobians and singular value decompositions."""
 
-    def __init__(self, configuration: Configuration, of: Sequence[_Rate], by: Sequence[_Rate]) -> None:
+    def __init__(self, configuration: Configuration, of: Sequence[Rate], by: Sequence[Rate]) -> None:
         self._configuration, self._of, self._by = configuration, of, by
         dof = DegreesOfFreedom(configuration)
         robot = configuration.mechanism
@@ -247,10 +251,10 @@ class _Reference:
         total: Vector = self._rows(self._of) @ a + self._drifts(self._of, v)
         return total
 
-    def _scale(self, rate: _Rate) -> float:
+    def _scale(self, rate: Rate) -> float:
         return self._configuration.mechanism.characteristic_length if rate.unit == "m/s" else 1.0
 
-    def _rows(self, rates: Sequence[_Rate]) -> Matrix:
+    def _rows(self, rates: Sequence[Rate]) -> Matrix:
         """Return the derivatives of rates by v, shape=(k, nv)."""
         configuration = self._configuration
         robot = configuration.mechanism
@@ -260,12 +264,12 @@ class _Reference:
                 row[robot.single_joint(rate.joint).v_index] = rate.scale
                 continue
             frame = configuration.frame_jacobian(robot.frame_name(rate.frame))
-            index = TOOL_COMPONENTS.index(rate.component)  # type: ignore[arg-type]
+            index = TOOL_COMPONENTS.index(rate.component)
             turned = angle_rates(self._angles(rate))[index - 3] @ frame[3:] if rate.is_angle else frame[index]
             row[:] = rate.scale * turned
         return rows
 
-    def _drifts(self, rates: Sequence[_Rate], v: Vector) -> Vector:
+    def _drifts(self, rates: Sequence[Rate], v: Vector) -> Vector:
         """Return the accelerations of rates at constant v, shape=(k,)."""
         robot, q = self._configuration.mechanism, np.array(self._configuration.q)
         model, data = robot.model, robot.model.createData()
@@ -276,7 +280,7 @@ class _Reference:
                 continue
             frame = robot.frame_id(robot.frame_name(rate.frame))
             motion = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            index = TOOL_COMPONENTS.index(rate.component)  # type: ignore[arg-type]
+            index = TOOL_COMPONENTS.index(rate.component)
             drift = motion.vector[index]
             if rate.is_angle:
                 spin = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
@@ -284,7 +288,7 @@ class _Reference:
             drifts[k] = rate.scale * drift
         return drifts
 
-    def _angle_drift(self, rate: _Rate, spin: Vector, acceleration: Vector) -> Vector:
+    def _angle_drift(self, rate: Rate, spin: Vector, acceleration: Vector) -> Vector:
         """Return the second derivatives of rx, ry, rz: the spin is e1 rx' + e2 ry' + e3 rz', with turning axes e."""
         angles = self._angles(rate)
         rates = angle_rates(angles) @ spin
@@ -294,14 +298,14 @@ class _Reference:
         found: Vector = angle_rates(angles) @ (acceleration - turning)
         return found
 
-    def _angles(self, rate: _Rate) -> Vector:
+    def _angles(self, rate: Rate) -> Vector:
         robot = self._configuration.mechanism
         placement = self._configuration.frame_placement(robot.frame_name(rate.frame))
         return tool_components(placement.homogeneous)[3:]
 
 
 def _evaluated(
-    robot: Robot, of: Sequence[_Rate], by: Sequence[_Rate], q: Matrix, threads: int | None, *, with_derivatives: bool
+    robot: Robot, of: Sequence[Rate], by: Sequence[Rate], q: Matrix, threads: int | None, *, with_derivatives: bool
 ) -> tuple[Array, Mask]:
     """Evaluate the compiled Jacobian at q, flat; and where nothing is in doubt, shape=(n,)."""
 
@@ -324,12 +328,12 @@ def _evaluated(
     return compiled.with_doubt(q, geometry.values(robot, compiled.program.parameters), threads)
 
 
-def _frames(robot: Robot, *rates: Sequence[_Rate]) -> tuple[str, ...]:
+def _frames(robot: Robot, *rates: Sequence[Rate]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(_frame(robot, rate) for group in rates for rate in group if rate.joint is None))
 
 
 def jacobian_program(
-    robot: Robot, of: Sequence[_Rate], by: Sequence[_Rate], poses: Matrix, *, with_derivatives: bool = False
+    robot: Robot, of: Sequence[Rate], by: Sequence[Rate], poses: Matrix, *, with_derivatives: bool = False
 ) -> Program:
     """Record a Jacobian; outputs `values`, flat, and `sound`, 1 if the loops are closed and nothing is in doubt.
 
@@ -338,11 +342,31 @@ def jacobian_program(
     """
     graph, doubt = Graph(), Doubt()
     tree = Tree(graph, robot, poses, _frames(robot, of, by))
-    unit = robot.length_unit
-    slides = tree.slides
+    velocities = recorded_motions(tree, by, of, doubt)
+    values = product(_rows(tree, of), velocities)
+    flat = values.ravel()
+    if with_derivatives:
+        rates = np.stack([tree.rate(velocities[:, column]) for column in range(len(by))], axis=-1)
+        along = derivatives(values, dict(zip(tree.q, rates, strict=True)))
+        flat = np.concatenate([flat, ((along + along.swapaxes(1, 2)) * 0.5).ravel()])
+    sound = doubt.is_none(flat) & closed(tree)
+    return graph.program("jacobian", {"values": flat, "sound": select(sound, 1.0, 0.0)})
+
+
+def recorded_motions(tree: Tree, by: Sequence[Rate], of: Sequence[Rate], doubt: Doubt) -> Objects:
+    """Record the joint velocities at unit rate of each of `by`, shape=(nv, m) [SI units].
+
+    What neither sees may stay at rest. Redundant rates that disagree are met by least squares.
+
+    Raises:
+        ProgramError: rates of `of` can change while those of `by` are at rest, at the sample poses.
+    """
+    robot = tree.mechanism
+    unit, slides = robot.length_unit, tree.slides
     basis = closed_motions(tree, [], range(robot.model.nv), unit, doubt).idle
     basis[slides] = basis[slides] * unit
-    wanted, given = (_scaled_rows(tree, rates) for rates in (of, by))
+    factors = [np.array([[1.0 / unit if rate.unit == "m/s" else 1.0] for rate in rates]) for rates in (of, by)]
+    wanted, given = (_rows(tree, rates) * scale for rates, scale in zip((of, by), factors, strict=True))
     solved = eliminate(product(given, basis), range(basis.shape[1]), doubt)
     pivots, dropped = list(solved.columns), list(solved.dropped)
     if len(pivots) < min(len(by), basis.shape[1] - len(dropped)):
@@ -352,40 +376,28 @@ def jacobian_program(
     for column, index in enumerate(dropped):
         at_rest[index, column] = 1.0
     at_rest[pivots] = -solve_upper(triangle, solved.pivot_rows[:, dropped])
-    seen = product(wanted, basis)
-    for entry in product(seen, at_rest).ravel():
+    for entry in product(product(wanted, basis), at_rest).ravel():
         if np.nanmax(np.abs(samples(entry))) > DROPPED:
             raise ProgramError(f"{robot.name}: wanted rates can move while the given ones are at rest")
         doubt.drop([entry])
-    least = solve_upper(triangle, solved.carry(identity(len(by)))[0])
-    scaled = product(seen[:, pivots], least)
-    factors = [unit if rate.unit == "m/s" else 1.0 for rate in (*of, *by)]
-    ratios = np.array(factors[: len(of)])[:, None] / np.array(factors[len(of) :])
-    values = scaled * ratios
-    flat = values.ravel()
-    if with_derivatives:
-        velocities = product(basis[:, pivots], least) / np.array(factors[len(of) :])
-        rates = np.stack([tree.rate(velocities[:, column]) for column in range(len(by))], axis=-1)
-        along = derivatives(values, dict(zip(tree.q, rates, strict=True)))
-        flat = np.concatenate([flat, ((along + along.swapaxes(1, 2)) * 0.5).ravel()])
-    sound = doubt.is_none(flat) & closed(tree)
-    return graph.program("jacobian", {"values": flat, "sound": select(sound, 1.0, 0.0)})
+    rates: Objects = product(basis[:, pivots], solve_upper(triangle, solved.carry(identity(len(by)))[0]))
+    scaled: Objects = rates * factors[1].T
+    return scaled
 
 
-def _scaled_rows(tree: Tree, rates: Sequence[_Rate]) -> Objects:
-    """Record rates by v, lengths in the robot's unit, shape=(k, nv)."""
+def _rows(tree: Tree, rates: Sequence[Rate]) -> Objects:
+    """Record the derivatives of rates by v, shape=(k, nv)."""
     robot = tree.mechanism
     rows = zeros(len(rates), robot.model.nv)
     for k, rate in enumerate(rates):
-        unit = 1.0 / robot.length_unit if rate.unit == "m/s" else 1.0
         if rate.joint is not None:
-            rows[k, robot.single_joint(rate.joint).v_index] = rate.scale * unit
+            rows[k, robot.single_joint(rate.joint).v_index] = rate.scale
             continue
         name = robot.frame_name(rate.frame)
         twist = tree.jacobian(name)
-        index = TOOL_COMPONENTS.index(rate.component)  # type: ignore[arg-type]
+        index = TOOL_COMPONENTS.index(rate.component)
         row = _angle_row(tree, name, index - 3) @ twist[3:] if rate.is_angle else twist[index]
-        rows[k] = row * (rate.scale * unit)
+        rows[k] = row * rate.scale
     return rows
 
 
