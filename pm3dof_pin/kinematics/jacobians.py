@@ -120,7 +120,7 @@ def jacobian(
 
     def reference(q: Vector) -> Vector:
         configuration = robot.configuration(q)
-        point = _Reference(configuration, rows, columns)
+        point = ReferenceMotions(configuration, rows, columns)
         parts = [point.jacobian.ravel()]
         return np.concatenate([*parts, point.derivatives().ravel()] if with_derivatives else parts)
 
@@ -205,8 +205,18 @@ def _frame(robot: Robot, rate: Rate) -> str:
     return robot.frame_name(rate.frame)
 
 
-class _Reference:
-    """The Jacobian at one configuration, on Pinocchio's Jacobians and singular value decompositions."""
+class ReferenceMotions:
+    """The Jacobian at one configuration, on Pinocchio's Jacobians and singular value decompositions.
+
+    Attributes:
+        jacobian: rates of `of` by those of `by`, shape=(k, m).
+        motions: joint velocities at unit rate of each of `by`, shape=(nv, m).
+        idle: basis of the motions with all of `by` at rest, shape=(nv, i).
+
+    Raises:
+        SingularConfigurationError: see :func:`jacobian`.
+        InvalidValueError: the loops are not closed.
+    """
 
     def __init__(self, configuration: Configuration, of: Sequence[Rate], by: Sequence[Rate]) -> None:
         self._configuration, self._of, self._by = configuration, of, by
@@ -226,13 +236,15 @@ class _Reference:
             raise SingularConfigurationError(
                 f"{robot.name}: the rates of {names} depend on each other at q = {listed(configuration.q)}"
             )
-        self._dof, self._given, self._wanted = dof, given, wanted
+        self._dof, self._given = dof, given
+        self.motions: Matrix = dof.scale[:, None] * given.inverse / self._column_scale
+        self.idle: Matrix = dof.scale[:, None] * given.motions
         scaled: Matrix = wanted @ given.inverse
         self.jacobian: Matrix = self._row_scale[:, None] * scaled / self._column_scale
 
     def derivatives(self) -> Array:
         """Return the derivative of the Jacobian along each column's motion, shape=(k, m, m), by polarisation."""
-        motions = self._dof.scale[:, None] * self._given.inverse / self._column_scale
+        motions = self.motions
         count = len(self._by)
         found = np.empty((len(self._of), count, count))
         for i in range(count):
@@ -342,7 +354,7 @@ def jacobian_program(
     """
     graph, doubt = Graph(), Doubt()
     tree = Tree(graph, robot, poses, _frames(robot, of, by))
-    velocities = recorded_motions(tree, by, of, doubt)
+    velocities, _ = recorded_motions(tree, by, of, doubt)
     values = product(_rows(tree, of), velocities)
     flat = values.ravel()
     if with_derivatives:
@@ -353,10 +365,11 @@ def jacobian_program(
     return graph.program("jacobian", {"values": flat, "sound": select(sound, 1.0, 0.0)})
 
 
-def recorded_motions(tree: Tree, by: Sequence[Rate], of: Sequence[Rate], doubt: Doubt) -> Objects:
-    """Record the joint velocities at unit rate of each of `by`, shape=(nv, m) [SI units].
+def recorded_motions(tree: Tree, by: Sequence[Rate], of: Sequence[Rate], doubt: Doubt) -> tuple[Objects, Objects]:
+    """Record the joint velocities at unit rate of each of `by`, shape=(nv, m) [SI units], and the idle motions.
 
-    What neither sees may stay at rest. Redundant rates that disagree are met by least squares.
+    Idle motions, shape=(nv, i), are those that neither sees, such as a rod's spin about its own axis. Redundant rates
+    that disagree are met by least squares.
 
     Raises:
         ProgramError: rates of `of` can change while those of `by` are at rest, at the sample poses.
@@ -381,8 +394,7 @@ def recorded_motions(tree: Tree, by: Sequence[Rate], of: Sequence[Rate], doubt: 
             raise ProgramError(f"{robot.name}: wanted rates can move while the given ones are at rest")
         doubt.drop([entry])
     rates: Objects = product(basis[:, pivots], solve_upper(triangle, solved.carry(identity(len(by)))[0]))
-    scaled: Objects = rates * factors[1].T
-    return scaled
+    return rates * factors[1].T, product(basis, at_rest)
 
 
 def _rows(tree: Tree, rates: Sequence[Rate]) -> Objects:

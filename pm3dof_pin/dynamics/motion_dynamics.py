@@ -1,0 +1,145 @@
+"""Inertia and weight that a description of the motion feels: those of all bodies, projected on the closed motions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Unpack
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import frozen, require_kind
+from pm3dof_pin.kinematics.jacobians import MotionName, Rate, ReferenceMotions, motion_rates, recorded_motions
+from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.samples import samples_near_home
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.programs import cache, geometry
+from pm3dof_pin.programs.elimination import Doubt, product, samples
+from pm3dof_pin.programs.graph import Graph, select, sqrt
+from pm3dof_pin.programs.loops import closed
+from pm3dof_pin.programs.masses import Masses, mass_numbers, mass_pattern
+from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.programs.verification import verify
+from pm3dof_pin.typing import Array, Mask, Matrix, Vector
+
+_NO_MASS = 1e-15
+"""Idle motions of less mass than this, relative to that of all bodies times the length squared, are massless."""
+
+_PROGRAM_FROM = 200  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
+
+
+@dataclass(frozen=True, eq=False)
+class MotionDynamics:
+    """What m rates feel of the masses at many poses."""
+
+    inertia: Array  #: S^T M S, S the joint velocities at unit rates, shape=(..., m, m) [kg, kg m, kg m^2]
+    weight: Array  #: forces along the rates that hold all bodies against gravity, shape=(..., m) [N, N m]
+
+
+def motion_dynamics(
+    robot: Robot,
+    poses: Poses | Configuration | ArrayLike,
+    *,
+    by: MotionName,
+    payloads: Payloads | None = None,
+    **options: Unpack[BatchOptions],
+) -> MotionDynamics:
+    """Project the masses of all bodies on the motions at unit rate of each of `by`.
+
+    Rotors are not included, see :class:`~pm3dof_pin.capability.transmission.Transmission`. Idle motions, such as the
+    spin of a rod, follow freely: their momentum is zero.
+
+    Args:
+        robot: the robot.
+        poses: solved poses, a configuration, or q with closed loops, shape=(..., nq) [m, rad].
+        by: a description of motion, see :func:`~pm3dof_pin.kinematics.jacobians.jacobian`, that determines the actuated
+            joints and the tool, if any.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia`.
+        options: see :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
+
+    Raises:
+        SingularConfigurationError: the rates do not determine the motion.
+        PM3DofError: as :func:`~pm3dof_pin.kinematics.jacobians.jacobian`.
+    """
+    require_kind("robot", robot, Robot, "pm.load")
+    robot.require_possible_inertias()
+    model = model_with_payloads(robot, payloads)
+    rates = motion_rates(robot, "by", by)
+    seen = motion_rates(robot, "of", robot.actuated_joints) if robot.actuated_joints else rates
+    m = len(rates)
+
+    def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
+        return _evaluated(robot, model, rates, seen, q, threads)
+
+    def reference(q: Vector) -> Vector:
+        point = ReferenceMotions(robot.configuration(q), seen, rates)
+        data = model.createData()
+        mass = pin.crba(model, data, q)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        motions, idle = point.motions, point.idle
+        felt = idle.T @ mass
+        if idle.size:
+            motions = motions - idle @ np.linalg.lstsq(felt @ idle, felt @ motions, rcond=_NO_MASS)[0]
+        weight = pin.computeGeneralizedGravity(model, data, q)
+        return np.concatenate([(motions.T @ mass @ motions).ravel(), motions.T @ weight])
+
+    values = evaluate_at(
+        robot,
+        poses,
+        "inertia of motions",
+        (m * (m + 1),),
+        program=program,
+        careful=reference,
+        program_from=_PROGRAM_FROM,
+        **options,
+    ).values
+    inertia = values[..., : m * m].reshape(*values.shape[:-1], m, m)
+    return MotionDynamics(frozen(inertia), frozen(values[..., m * m :]))
+
+
+def _evaluated(
+    robot: Robot,
+    model: pin.Model,
+    rates: tuple[Rate, ...],
+    seen: tuple[Rate, ...],
+    q: Matrix,
+    threads: int | None,
+) -> tuple[Array, Mask]:
+    """Evaluate the program at q: inertia and weight, flat; and where nothing is in doubt, shape=(n,)."""
+
+    def trace() -> Program:
+        poses = samples_near_home(robot)
+        verify(robot, poses)
+        graph, doubt = Graph(), Doubt()
+        tree = Tree(graph, robot, poses)
+        motions, idle = recorded_motions(tree, rates, seen, doubt)
+        masses = Masses(tree, model)
+        matrix = masses.matrix
+        stack = np.hstack([idle, motions])
+        inertia = product(stack.T, product(matrix, stack))
+        weight = product(stack.T, masses.weights[:, None])[:, 0]
+        reference = sum(body.mass for body in model.inertias) * robot.length_unit**2
+        first = idle.shape[1]
+        for k in range(first):  # idle motions follow such that their momentum is zero
+            pivot, row = inertia[k, k], inertia[k].copy()
+            if np.nanmax(np.abs(samples(pivot))) <= _NO_MASS * reference:
+                doubt.drop([sqrt(pivot * (1.0 / reference))])
+                continue
+            inverse = 1.0 / pivot
+            weight = weight - row * (weight[k] * inverse)
+            inertia = inertia - np.outer(row, row) * inverse
+        values = np.concatenate([inertia[first:, first:].ravel(), weight[first:]])
+        sound = doubt.is_none(values) & closed(tree)
+        return graph.program("motion_dynamics", {"values": values, "sound": select(sound, 1.0, 0.0)})
+
+    key = repr(
+        ("motion_dynamics", rates, seen, mass_pattern(model), geometry.structure(robot), geometry.pattern(robot))
+    )
+    compiled = cache.known(key, trace)
+    parameters = geometry.values(robot, compiled.program.parameters, mass_numbers(model))
+    return compiled.with_doubt(q, parameters, threads)

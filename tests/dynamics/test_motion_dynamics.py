@@ -1,0 +1,48 @@
+"""Inertia and weight felt by any description of motion, against kinetic and potential energy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pm3dof_pin as pm
+from pm3dof_pin.dynamics.batch import actuator_forces
+from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
+
+_MACHINES = Path(__file__).parents[1] / "machines"
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "linear_delta", "five_bar"])
+def test_energy_at_unit_rates_and_over_the_height(name: str) -> None:
+    """Half x^T H x is the kinetic energy of solved poses in motion; the weight is the potential's derivative."""
+    robot = pm.load(_MACHINES / name if (_MACHINES / name).exists() else name)
+    poses = pm.reachable_poses(robot, 210, np.random.default_rng(0), margin=0.2)
+    found = motion_dynamics(robot, poses, by="coordinates")
+    reference = motion_dynamics(robot, poses[:3], by="coordinates", engine="pinocchio")
+    np.testing.assert_allclose(found.inertia[:3], reference.inertia, atol=1e-12 * np.abs(reference.inertia).max())
+    np.testing.assert_allclose(
+        found.weight[:3], reference.weight, atol=1e-12 * np.abs(reference.weight).max(initial=1.0)
+    )
+    step = 1e-5 * robot.characteristic_length
+    model, data = robot.model, robot.model.createData()
+    at, q = poses.coordinates[0], poses.q[0]
+    for k, change in enumerate(step * np.eye(at.size)):
+        ahead, behind = (robot.solve(at + sign * change, guess=q).q for sign in (1.0, -1.0))
+        v = pin.difference(model, behind, ahead) / (2.0 * step)
+        energy = pin.computeKineticEnergy(model, data, q, v)
+        np.testing.assert_allclose(0.5 * found.inertia[0, k, k], energy, rtol=1e-6)
+        height = [pin.computePotentialEnergy(model, data, end) for end in (ahead, behind)]
+        np.testing.assert_allclose(
+            found.weight[0, k], (height[0] - height[1]) / (2.0 * step), atol=1e-6 * (1.0 + np.abs(found.weight).max())
+        )
+
+
+def test_weight_by_commands_is_what_the_drives_hold() -> None:
+    robot = pm.load("pm3dof")
+    poses = pm.reachable_poses(robot, 20, np.random.default_rng(0))
+    np.testing.assert_allclose(
+        motion_dynamics(robot, poses, by="commands").weight, actuator_forces(robot, poses), atol=1e-10
+    )
