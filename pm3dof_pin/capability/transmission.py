@@ -1,0 +1,252 @@
+"""What a serial model must know of joints driven through closed loops: mapping, inertia, limits and gains.
+
+The drives' rates are G times those of the joints, so that joint torques are G^T times the drives'. Rotors then add
+G^T I_m G to the joints' inertia, gains K of the drives give G^T K G at the joints, and boxes of drive limits become
+polytopes. All of these depend on the pose, and their off-diagonal entries couple the joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import finite_array, frozen, require_kind
+from pm3dof_pin.capability.polytopes import Polytopes
+from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.kinematics.jacobians import jacobian
+from pm3dof_pin.kinematics.pose_values import BatchOptions
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.loads import Payloads
+from pm3dof_pin.typing import Array, Vector
+
+Limit: TypeAlias = float | Mapping[str, float] | ArrayLike | None
+"""Limits of the drives, to either side: one for all, one each in their order, or by name; None for the described."""
+
+_UNLIMITED = 1e300
+
+
+def joint_driven(robot: Robot, joints: Sequence[str], drives: Sequence[str] = ()) -> Robot:
+    """Return a robot whose coordinates are joints, and whose drives are the given ones, or those it has.
+
+    Raises:
+        JointNotFoundError: there is no such joint.
+        InvalidValueError: a joint has several degrees of freedom, or one is named twice.
+    """
+    require_kind("robot", robot, Robot, "pm.load")
+    for names in (joints, drives):
+        if len(set(names)) < len(names):
+            raise InvalidValueError("joints", ", ".join(names), "each joint once")
+    coordinates = [Coordinate(name, robot.single_joint(name).unit, joint=name) for name in joints]
+    if not drives:
+        return robot.replace(coordinates=tuple(coordinates))
+    return robot.replace(coordinates=tuple(coordinates), actuated_joints=tuple(drives), commands=())
+
+
+@dataclass(frozen=True, eq=False)
+class Transmission:
+    """The transmission between drives and joints at many poses, shape=(...)."""
+
+    joints: tuple[str, ...]  #: names of the m joints
+    drives: tuple[str, ...]  #: names of the u actuated joints
+    poses: Poses  #: the poses
+    jacobian: Array  #: G, rates of the drives by those of the joints, shape=(..., u, m)
+    #: second derivatives H of the drives' positions by those of the joints, shape=(..., u, m, m): the drives accelerate
+    #: by G a + v^T H v
+    jacobian_derivatives: Array
+    rotor_inertia: Array  #: G^T I_m G of the drives' armatures, shape=(..., m, m) [kg m^2, kg]
+    inertia: Array  #: of all moving bodies and rotors, shape=(..., m, m) [kg m^2, kg]
+    weight: Array  #: joint torques that hold all bodies against gravity, shape=(..., m) [N m, N]
+    effort: Vector  #: greatest effort of each drive, to either side, shape=(u,) [N m, N]; infinite if unknown
+    speed: Vector  #: greatest speed of each drive, to either side, shape=(u,) [rad/s, m/s]; infinite if unknown
+
+    @cached_property
+    def torques(self) -> Polytopes:
+        """Torques that the drives can give at the joints beyond those that hold the weight [N m, N].
+
+        Raises:
+            InvalidValueError: the effort of a drive is unknown or zero.
+        """
+        self._require_limits("effort", self.effort)
+        return self._torques(self.effort, -self.weight)
+
+    @cached_property
+    def unit_torques(self) -> Polytopes:
+        """Torques at the joints with every drive limited to 1 N m (or N), without gravity."""
+        return self._torques(np.ones(len(self.drives)), np.zeros(len(self.joints)))
+
+    @cached_property
+    def speeds(self) -> Polytopes:
+        """Speeds of the joints that all drives can follow [rad/s, m/s].
+
+        Raises:
+            InvalidValueError: the speed of a drive is unknown or zero.
+        """
+        self._require_limits("speed", self.speed)
+        return Polytopes.from_inequalities(self.jacobian, -self.speed, self.speed)
+
+    @cached_property
+    def pure_torques(self) -> Array:
+        """Greatest torque about each joint alone, in the weaker direction, shape=(..., m) [N m, N]."""
+        return _pure(self.torques, len(self.joints))
+
+    @cached_property
+    def unit_pure_torques(self) -> Array:
+        """The same without gravity, in multiples of the effort of the drives, shape=(..., m)."""
+        return _pure(self.unit_torques, len(self.joints))
+
+    @cached_property
+    def pure_speeds(self) -> Array:
+        """Greatest speed of each joint alone, shape=(..., m) [rad/s, m/s]."""
+        return _pure(self.speeds, len(self.joints))
+
+    @cached_property
+    def distance_to_singularity(self) -> Array:
+        """Least singular value of G over the greatest, shape=(...): 0 where the drives lose a joint."""
+        values = _singular_values(self.jacobian)
+        return frozen(values[..., -1] / values[..., 0])
+
+    def joint_gains(self, gains: ArrayLike) -> Array:
+        """Return the gains at the joints of those of the drives: G^T K G, shape=(..., m, m) [N m/rad or N m s/rad].
+
+        Args:
+            gains: of each drive, shape=(u,).
+        """
+        diagonal = finite_array("gains", np.broadcast_to(gains, (len(self.drives),)), (len(self.drives),))
+        return np.asarray(np.einsum("...um,u,...un->...mn", self.jacobian, diagonal, self.jacobian))
+
+    def drive_gains(self, gains: ArrayLike) -> Array:
+        """Return the gains of the drives that give gains of the joints: G^-T K G^-1, shape=(..., u, u).
+
+        Args:
+            gains: of each joint, shape=(m,), or a matrix, shape=(m, m).
+
+        Raises:
+            InvalidValueError: there are more drives than joints.
+        """
+        count = len(self.joints)
+        if len(self.drives) != count:
+            raise InvalidValueError("drives", f"{len(self.drives)} drives", f"{count}, as many as joints")
+        given = np.asarray(gains, dtype=float)
+        matrix = np.diag(np.broadcast_to(given, (count,))) if given.ndim < 2 else given
+        inverse = np.linalg.inv(self.jacobian)
+        return np.asarray(inverse.swapaxes(-1, -2) @ matrix @ inverse)
+
+    def _torques(self, effort: Vector, centre: ArrayLike) -> Polytopes:
+        return Polytopes.from_box(self.jacobian.swapaxes(-1, -2), -effort, effort, centre=centre)
+
+    def _require_limits(self, name: str, limits: Vector) -> None:
+        for drive, limit in zip(self.drives, limits, strict=True):
+            if not 0.0 < limit < _UNLIMITED:
+                value = "zero" if limit == 0.0 else "not described"
+                raise InvalidValueError(
+                    f"{name} of {drive}", value, f"a positive {name}: --{name}, or in the description"
+                )
+
+
+def transmission(
+    robot: Robot,
+    values: ArrayLike | Poses,
+    *,
+    effort: Limit = None,
+    speed: Limit = None,
+    armature: Limit = None,
+    payloads: Payloads | None = None,
+    **options: Unpack[BatchOptions],
+) -> Transmission:
+    """Compute the transmission between the drives and the coordinates of a robot, which are joints.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.capability.transmission import joint_driven, transmission
+        >>> tripod = joint_driven(pm.load("pm3dof"), ["platform_x_joint"])  # doctest: +SKIP
+
+    Args:
+        robot: a robot with joints as coordinates, see :func:`joint_driven`.
+        values: of the joints, shape=(..., m) [rad, m]; or solved poses.
+        effort: limits of the drives' torques or forces [N m, N].
+        speed: limits of their rates [rad/s, m/s].
+        armature: inertia of the rotors, as felt at the actuated joints [kg m^2, kg]; by default the description's.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia`.
+        options: see :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
+
+    Raises:
+        SingularConfigurationError: the drives do not determine the joints at a pose, or the joints not the drives.
+        UnreachablePoseError: a pose is out of reach, and `on_failure` is "raise".
+        InvalidValueError: a limit is negative, or names no drive.
+    """
+    require_kind("robot", robot, Robot, "pm.load")
+    names, drives = tuple(c.name for c in robot.coordinates), robot.actuated_joints
+    if len(drives) < len(names):
+        raise SingularConfigurationError(
+            f"{robot.name}: {len(drives)} drives ({', '.join(drives)}) do not determine {', '.join(names)}"
+        )
+    poses = values if isinstance(values, Poses) else robot.solve(values, on_failure=options.get("on_failure", "raise"))
+    found = jacobian(robot, poses, of=drives, by=names, with_derivatives=True, **options)
+    assert found.derivatives is not None
+    masses = motion_dynamics(robot, poses, by=names, payloads=payloads, **options)
+    indices = robot.actuated_indices
+    model = robot.model
+    rotors = drive_values(robot, "armature", armature, np.array(model.armature)[indices])
+    inertia = np.einsum("...um,u,...un->...mn", found.values, rotors, found.values)
+    passive = np.delete(np.array(model.armature), indices)
+    if passive.any():  # armature of joints that are not driven, as files may have it
+        moving = [name for name in robot.passive_joints if model.joints[model.getJointId(name)].nv == 1]
+        others = jacobian(robot, poses, of=moving, by=names, **options).values
+        reflected = np.array(model.armature)[robot.velocity_indices(moving)]
+        other = np.einsum("...um,u,...un->...mn", others, reflected, others)
+    else:
+        other = np.zeros_like(inertia)
+    return Transmission(
+        joints=names,
+        drives=drives,
+        poses=poses,
+        jacobian=found.values,
+        jacobian_derivatives=found.derivatives,
+        rotor_inertia=frozen(inertia),
+        inertia=frozen(masses.inertia + inertia + other),
+        weight=masses.weight,
+        effort=drive_values(robot, "effort", effort, np.array(model.upperEffortLimit)[indices]),
+        speed=drive_values(robot, "speed", speed, np.array(model.upperVelocityLimit)[indices]),
+    )
+
+
+def drive_values(robot: Robot, name: str, given: Limit, described: ArrayLike) -> Vector:
+    """Return one nonnegative number for each drive: those given, or else those described, shape=(u,).
+
+    Raises:
+        InvalidValueError: a number is negative or not finite, or a name is that of no drive.
+    """
+    drives = robot.actuated_joints
+    values = np.array(described, dtype=float)
+    if isinstance(given, Mapping):
+        for drive, value in given.items():
+            if drive not in drives:
+                raise InvalidValueError(name, drive, f"one of the drives {', '.join(drives)}")
+            values[drives.index(drive)] = finite_array(f"{name} of {drive}", value, ())
+    elif given is not None:
+        numbers = finite_array(name, given, (), (len(drives),))
+        values[:] = numbers
+    if not (values >= 0.0).all():
+        raise InvalidValueError(name, values.tolist(), "no negative numbers")
+    return frozen(np.where(values < _UNLIMITED, values, np.inf))
+
+
+def _pure(polytopes: Polytopes, count: int) -> Array:
+    axes = [np.eye(count)[k] for k in range(count)]
+    ends = [np.minimum(polytopes.extent(axis), polytopes.extent(-axis)) for axis in axes]
+    return frozen(np.stack(ends, axis=-1))
+
+
+def _singular_values(matrices: Array) -> Array:
+    values = np.full((*matrices.shape[:-2], min(matrices.shape[-2:])), np.nan)
+    known = np.isfinite(matrices).all(axis=(-2, -1))
+    values[known] = np.linalg.svd(matrices[known], compute_uv=False)
+    return values
