@@ -183,7 +183,8 @@ def _normal(columns: Array) -> Array:
     dimensions = columns.shape[-2]
     signs = (-1.0) ** np.arange(dimensions)
     rows = [np.delete(columns, row, axis=-2) for row in range(dimensions)]
-    minors = [np.linalg.det(row) if dimensions > 1 else np.ones(columns.shape[:-2]) for row in rows]
+    with np.errstate(invalid="ignore"):  # unsolved poses are NaN
+        minors = [np.linalg.det(row) if dimensions > 1 else np.ones(columns.shape[:-2]) for row in rows]
     normal = signs * np.stack(minors, axis=-1)
     lengths = np.linalg.norm(normal, axis=-1, keepdims=True)
     usual = np.prod(np.linalg.norm(columns, axis=-2), axis=-1)[..., None]

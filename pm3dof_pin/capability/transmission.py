@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import TypeAlias, Unpack
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
@@ -48,6 +49,44 @@ def joint_driven(robot: Robot, joints: Sequence[str], drives: Sequence[str] = ()
     if not drives:
         return robot.replace(coordinates=tuple(coordinates))
     return robot.replace(coordinates=tuple(coordinates), actuated_joints=tuple(drives), commands=())
+
+
+def held_outside(robot: Robot, link: str) -> Robot:
+    """Return what a link carries, as a robot of its own: the link and all other joints are held at home.
+
+    Springs are left out, and so are drives, commands and limits of held joints.
+
+    Raises:
+        FrameNotFoundError: there is no such link.
+        InvalidValueError: the link carries no joint, or a coupling ties a joint that it carries to one that is held.
+    """
+    require_kind("robot", robot, Robot, "pm.load")
+    model = robot.model
+    base = model.frames[robot.frame_id(link)].parentJoint
+    carried = [k for k in range(1, model.njoints) if base in list(model.supports[k])[:-1]]
+    held = [k for k in range(1, model.njoints) if k not in carried]
+    if not carried:
+        raise InvalidValueError("subtree", link, "a link that carries joints")
+    names = {model.names[k] for k in carried}
+    for coupling in robot.couplings:
+        tied = {coupling.joint, *coupling.joints}
+        if tied & names and not tied <= names:
+            raise InvalidValueError("subtree", link, f"a link that carries all joints of {coupling.name}")
+    moving = {frame.name for frame in model.frames if frame.parentJoint in carried}
+    reduced = pin.buildReducedModel(model, held, np.array(robot.home.q))
+    commands = tuple(command for command in robot.commands if command.joint in names)
+    return robot.replace(
+        model=reduced,
+        closures=[loop for loop in robot.closures if {loop.frame_a, loop.frame_b} & moving],
+        couplings=tuple(coupling for coupling in robot.couplings if coupling.joint in names),
+        actuated_joints=tuple(name for name in robot.actuated_joints if name in names),
+        motion_coordinates=(),
+        commands=commands,
+        coordinates=tuple(c for c in robot.declared_coordinates if c.joint is None or c.joint in names),
+        limit_groups=(),
+        springs=(),
+        tool_frame=robot.tool_frame if robot.tool_frame in moving else None,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,141 @@
+"""The numbers of a serial model of joints that closed loops drive: one constant for what depends on the pose.
+
+A serial model has one effort, velocity, armature and pair of gains for each joint. Over a box of poses each of these is
+a range; the constant that is least wrong has the smallest greatest relative error, 2 a b / (a + b) of the ends a and b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from pm3dof_pin.arrays import frozen, require_choice
+from pm3dof_pin.capability.transmission import Transmission
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.typing import Array, Mask, Vector
+
+Choice: TypeAlias = Literal["least-wrong", "worst"]
+"""Which constant stands for a range: the one with the least relative error, or the cautious end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """A quantity of each joint over a box of poses."""
+
+    least: Vector  #: shape=(m,)
+    greatest: Vector  #: shape=(m,)
+    cautious: Literal["least", "greatest"]  #: the end that promises nothing that the machine cannot do
+
+    @classmethod
+    def over(cls, values: Array, cautious: Literal["least", "greatest"]) -> Spread:
+        """Take the range of values at poses, shape=(..., m); those that are NaN are left out."""
+        rows = values.reshape(-1, values.shape[-1])
+        return cls(frozen(np.nanmin(rows, axis=0)), frozen(np.nanmax(rows, axis=0)), cautious)
+
+    @property
+    def least_wrong(self) -> Vector:
+        """The constant with the smallest greatest relative error, shape=(m,)."""
+        low, high = self.least, self.greatest
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(low == high, low, 2.0 * low * high / (low + high))
+
+    @property
+    def error(self) -> Vector:
+        """The greatest relative error of :attr:`least_wrong`, shape=(m,)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(
+                self.least == self.greatest, 0.0, (self.greatest - self.least) / (self.greatest + self.least)
+            )
+
+    def chosen(self, choice: Choice) -> Vector:
+        """Return the constant that stands for the range, shape=(m,)."""
+        require_choice("choice", choice, Choice)
+        if choice == "least-wrong":
+            return self.least_wrong
+        return self.least if self.cautious == "least" else self.greatest
+
+
+@dataclass(frozen=True, eq=False)
+class SerialModel:
+    """What to type into a serial model, and by how much it is wrong over a box of poses."""
+
+    joints: tuple[str, ...]  #: names of the m joints
+    lower: Vector  #: ends of the box, shape=(m,) [rad, m]
+    upper: Vector  #: shape=(m,) [rad, m]
+    unreached: float  #: share of the box's poses out of reach or beyond limits of the closed mechanism
+    #: greatest factor by which the box shrinks towards its centre such that all of its poses are within limits
+    reached_scale: float
+    armature: Spread  #: inertia of the rotors at each joint, the diagonal of G^T I_m G [kg m^2, kg]
+    inertia: Spread  #: of all moving bodies and rotors [kg m^2, kg]
+    #: greatest magnitude over the box of an off-diagonal entry of G^T I_m G, relative to the diagonal's geometric mean
+    coupling: float
+    torque: Spread | None  #: greatest pure torque [N m, N]; None if efforts are unknown
+    unit_torque: Spread  #: the same in multiples of the drives' effort, without gravity
+    speed: Spread | None  #: greatest speed [rad/s, m/s]; None if unknown
+    gains: Mapping[str, Spread]  #: "kp" and "kd" at the joints [N m/rad, N m s/rad]; empty if none are given
+    distance_to_singularity: float  #: least over the box
+
+
+def serial_model(transmission: Transmission, *, kp: float | None = None, kd: float | None = None) -> SerialModel:
+    """Reduce the transmission over a grid of the joints to constants; of poses within limits only.
+
+    Args:
+        transmission: over a grid, shape=(n1, ..., nm), made with `on_failure="nan"`.
+        kp: proportional gain of each drive [N m/rad, N/m].
+        kd: derivative gain of each drive [N m s/rad, N s/m].
+
+    Raises:
+        UnreachablePoseError: no pose of the grid is within limits.
+        InvalidValueError: the poses are not a grid over the joints.
+    """
+    count = len(transmission.joints)
+    shape = transmission.poses.shape
+    if len(shape) != count:
+        raise InvalidValueError("transmission", f"poses of shape {shape}", f"a grid with {count} dimensions")
+    within = transmission.poses.within_limits & np.isfinite(transmission.jacobian).all(axis=(-2, -1))
+    if not within.any():
+        raise UnreachablePoseError(f"{transmission.poses.robot.name}: no pose of the box is within limits")
+    values = transmission.poses.coordinates.reshape(-1, count)
+    rotor = _at(transmission.rotor_inertia, within)
+    diagonal = np.einsum("...ii->...i", rotor)
+    off = np.abs(rotor) / np.sqrt(diagonal[..., :, None] * diagonal[..., None, :])
+    off[..., np.arange(count), np.arange(count)] = 0.0
+    known = {"effort": np.isfinite(transmission.effort).all(), "speed": np.isfinite(transmission.speed).all()}
+    gains = {"kp": kp, "kd": kd}
+    return SerialModel(
+        joints=transmission.joints,
+        lower=frozen(np.nanmin(values, axis=0)),
+        upper=frozen(np.nanmax(values, axis=0)),
+        unreached=float(1.0 - within.mean()),
+        reached_scale=_reached_scale(within),
+        armature=Spread.over(diagonal, "greatest"),
+        inertia=Spread.over(np.einsum("...ii->...i", _at(transmission.inertia, within)), "greatest"),
+        coupling=float(np.nan_to_num(off).max(initial=0.0)),
+        torque=Spread.over(_at(transmission.pure_torques, within), "least") if known["effort"] else None,
+        unit_torque=Spread.over(_at(transmission.unit_pure_torques, within), "least"),
+        speed=Spread.over(_at(transmission.pure_speeds, within), "least") if known["speed"] else None,
+        gains={
+            name: Spread.over(np.einsum("...ii->...i", _at(transmission.joint_gains(gain), within)), "least")
+            for name, gain in gains.items()
+            if gain is not None
+        },
+        distance_to_singularity=float(_at(transmission.distance_to_singularity, within).min()),
+    )
+
+
+def _at(values: Array, within: Mask) -> Array:
+    return np.asarray(values[within])
+
+
+def _reached_scale(within: Mask) -> float:
+    """Return the greatest share of the grid, about its centre, all of whose points are within limits."""
+    axes = [np.abs(np.linspace(-1.0, 1.0, size)) if size > 1 else np.zeros(1) for size in within.shape]
+    distance = np.max(np.stack(np.meshgrid(*axes, indexing="ij")), axis=0)
+    if within.all():
+        return 1.0
+    first = distance[~within].min()
+    inside = distance[distance < first - 1e-12]
+    return float(inside.max(initial=0.0)) if inside.size else 0.0

@@ -1,0 +1,242 @@
+"""`pm3dof transmission`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_grid
+from pm3dof_pin.cli.options import Json, Payload, PlaceOptions, RobotOptions, finite_number, payloads_of
+from pm3dof_pin.cli.output import fixed, message, print_result, table_lines
+from pm3dof_pin.cli.poses import place
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pm3dof_pin.capability.serial_model import SerialModel, Spread
+    from pm3dof_pin.capability.transmission import Transmission
+    from pm3dof_pin.typing import Array
+
+_POINTS = 21
+
+_Limits = "N|JOINT=N,.."
+_Over = Annotated[
+    list[CoordinateRange] | None,
+    typer.Option(
+        "--over",
+        metavar="NAME FIRST LAST COUNT",
+        parser=CoordinateRange.parse,
+        help="Values of a joint [deg, m]; may be repeated. By default each joint's range.",
+    ),
+]
+
+
+def transmission(
+    which: RobotOptions,
+    chosen: PlaceOptions,
+    joints: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Joints of the serial model; the robot's coordinates by default.")
+    ] = None,
+    drives: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Driven joints; the description's by default.")
+    ] = None,
+    subtree: Annotated[
+        str | None, typer.Option(metavar="LINK", help="Only what this link carries; all other joints are held at home.")
+    ] = None,
+    over: _Over = None,
+    effort: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N|JOINT=N,..", help="Greatest effort of the drives [N m, N]; the description's by default."
+        ),
+    ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N|JOINT=N,..", help="Greatest speed of the drives [rad/s, m/s]; the description's by default."
+        ),
+    ] = None,
+    armature: Annotated[
+        str | None,
+        typer.Option(metavar=_Limits, help="Inertia of the rotors at the driven joints [kg m^2, kg]."),
+    ] = None,
+    gains: Annotated[str | None, typer.Option(metavar="KP,KD", help="Gains of each drive.")] = None,
+    payload: Payload = 0.0,
+    out: Annotated[Path | None, typer.Option(help="Folder for the table over the box: CSV and NetCDF.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Say what a serial model must know of joints driven through closed loops: angles in degrees, lengths in metres.
+
+    At a pose of the joints: the mapping between drives and joints, apparent inertia, torque and speed limits. Over the
+    box of --over: the range of each, and the constant that is least wrong. Limits that are unknown are left out, and
+    torques given in multiples of the drives' effort.
+    """
+    from pm3dof_pin.capability.serial_model import serial_model
+    from pm3dof_pin.capability.transmission import held_outside, joint_driven
+    from pm3dof_pin.capability.transmission import transmission as compute
+
+    robot = which.load()
+    if subtree is not None:
+        robot = held_outside(robot, subtree)
+    names = _names(joints) or [c.joint for c in robot.coordinates if c.joint is not None]
+    if not names:
+        raise typer.BadParameter(f"--joints: expected joints, since the coordinates of {robot.name} are none")
+    robot = joint_driven(robot, names, _names(drives))
+    limits: Any = {
+        "effort": _limits("--effort", effort),
+        "speed": _limits("--speed", speed),
+        "armature": _limits("--armature", armature),
+        "payloads": payloads_of(robot, payload),
+    }
+    kp, kd = _gains(gains)
+    pose = place(robot, chosen)
+    at = compute(robot, pose, **limits)
+    ranges = over or declared_ranges(robot, robot.coordinates, [_POINTS] * len(robot.coordinates))
+    poses = robot.solve(robot_grid(robot, ranges), on_failure="nan")
+    box = compute(robot, poses, on_failure="nan", **limits)
+    model = serial_model(box, kp=kp, kd=kd)
+    result = {"robot": robot.name} | transmission_result(at, kp=kp, kd=kd) | {"box": serial_model_result(model)}
+    files = []
+    if out is not None:
+        from pm3dof_pin.capability.table import write_tables
+
+        files = write_tables(box, out)
+    print_result(result, [*_lines(at), "", *_box_lines(model)], as_json=as_json, files=files)
+    unknown = [name for name, spread in (("--effort", model.torque), ("--speed", model.speed)) if spread is None]
+    if unknown:
+        message(f"pm3dof: {' and '.join(unknown)}: not described; results that need them are left out")
+
+
+def transmission_result(at: Transmission, *, kp: float | None = None, kd: float | None = None) -> dict[str, Any]:
+    """Return the transmission at one pose for JSON; keys end in their unit."""
+    result: dict[str, Any] = {
+        "joints": at.joints,
+        "drives": at.drives,
+        "pose_rad": at.poses.coordinates,
+        "commands": at.poses.commands,
+        "jacobian": at.jacobian,
+        "jacobian_rate": at.jacobian_derivatives,
+        "rotor_inertia_kg_m2": at.rotor_inertia,
+        "inertia_kg_m2": at.inertia,
+        "holding_torque_N_m": at.weight,
+        "greatest_pure_torque_by_drive_effort": dict(zip(at.joints, at.unit_pure_torques, strict=True)),
+        "distance_to_singularity": at.distance_to_singularity,
+    }
+    if np.isfinite(at.effort).all():
+        result |= {
+            "effort_N_m": at.effort,
+            "greatest_pure_torque_N_m": dict(zip(at.joints, at.pure_torques, strict=True)),
+            "greatest_torque_ball_N_m": at.torques.ball_radius,
+            "torque_polytope_N_m": at.torques.vertices(),
+        }
+    if np.isfinite(at.speed).all():
+        result |= {
+            "speed_rad_s": at.speed,
+            "greatest_pure_speed_rad_s": dict(zip(at.joints, at.pure_speeds, strict=True)),
+            "speed_polytope_rad_s": at.speeds.vertices(),
+        }
+    if kp is not None:
+        result["joint_stiffness_N_m_rad"] = at.joint_gains(kp)
+    if kd is not None:
+        result["joint_damping_N_m_s_rad"] = at.joint_gains(kd)
+    return result
+
+
+def serial_model_result(model: SerialModel) -> dict[str, Any]:
+    """Return the constants of a serial model for JSON."""
+
+    def spread(found: Spread) -> dict[str, Any]:
+        columns = (found.least, found.greatest, found.least_wrong, found.error)
+        keys = ("least", "greatest", "least_wrong", "relative_error")
+        return {
+            joint: dict(zip(keys, map(float, row), strict=True))
+            for joint, *row in zip(model.joints, *columns, strict=True)
+        }
+
+    return {
+        "lower_rad": model.lower,
+        "upper_rad": model.upper,
+        "share_out_of_reach": model.unreached,
+        "reached_share_of_box": model.reached_scale,
+        "distance_to_singularity": model.distance_to_singularity,
+        "rotor_coupling": model.coupling,
+        **{key: spread(found) for key, (_, found) in _quantities(model).items()},
+    }
+
+
+def _quantities(model: SerialModel) -> Mapping[str, tuple[str, Spread]]:
+    """Return what a serial model is given: by key of JSON, its words and its spread."""
+    found: dict[str, tuple[str, Spread | None]] = {
+        "rotor_inertia_kg_m2": ("armature: rotors [kg m²]", model.armature),
+        "inertia_kg_m2": ("inertia with moving links [kg m²]", model.inertia),
+        "greatest_pure_torque_by_drive_effort": ("pure torque [efforts of a drive]", model.unit_torque),
+        "greatest_pure_torque_N_m": ("pure torque beyond the weight [N m]", model.torque),
+        "greatest_pure_speed_rad_s": ("pure speed [rad/s]", model.speed),
+        "joint_stiffness_N_m_rad": ("kp at the joint [N m/rad]", model.gains.get("kp")),
+        "joint_damping_N_m_s_rad": ("kd at the joint [N m s/rad]", model.gains.get("kd")),
+    }
+    return {key: (words, spread) for key, (words, spread) in found.items() if spread is not None}
+
+
+def _lines(at: Transmission) -> list[str]:
+    rows = [[drive, *(fixed(entry, 6) for entry in row)] for drive, row in zip(at.drives, at.jacobian, strict=True)]
+    lines = table_lines(["rates of drives by those of", *at.joints], rows)
+    for words, matrix in (
+        ("rotors felt at the joints [kg m²]", at.rotor_inertia),
+        ("inertia with moving links [kg m²]", at.inertia),
+    ):
+        entries = zip(at.joints, _cleaned(matrix), strict=True)
+        rows = [[joint, *(f"{entry:.6g}" for entry in row)] for joint, row in entries]
+        lines += ["", *table_lines([words, *at.joints], rows)]
+    return lines
+
+
+def _cleaned(matrix: Array) -> Array:
+    """Return a matrix with entries of rounding set to zero."""
+    diagonal = np.sqrt(np.abs(np.diag(matrix)))
+    return np.where(np.abs(matrix) < 1e-12 * np.outer(diagonal, diagonal), 0.0, matrix)
+
+
+def _box_lines(model: SerialModel) -> list[str]:
+    ends = zip(model.joints, np.degrees(model.lower), np.degrees(model.upper), strict=True)
+    lines = [f"over {', '.join(f'{joint} {low:.4g} to {high:.4g}' for joint, low, high in ends)} deg"]
+    if model.unreached:
+        lines.append(
+            f"{100.0 * model.unreached:.1f} % of these poses are out of reach or beyond limits; none is in the box of "
+            f"{model.reached_scale:.2f} times the size about the same centre"
+        )
+    rows = []
+    for words, spread in _quantities(model).values():
+        columns = (spread.least, spread.greatest, spread.least_wrong, spread.error)
+        for joint, low, high, typed, error in zip(model.joints, *columns, strict=True):
+            rows.append([words, joint, f"{low:.4g}", f"{high:.4g}", f"{typed:.4g}", f"±{100.0 * error:.0f} %"])
+            words = ""
+    lines += table_lines(["", "joint", "least", "greatest", "least wrong", "off by"], rows, words=2)
+    lines.append(f"rotors couple the joints by up to {100.0 * model.coupling:.0f} % of their own inertia")
+    return lines
+
+
+def _names(text: str | None) -> list[str]:
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
+def _limits(option: str, text: str | None) -> float | dict[str, float] | None:
+    """Read one number for all drives, or numbers by joint."""
+    entries = _names(text)
+    if not entries:
+        return None
+    if len(entries) == 1 and "=" not in entries[0]:
+        return finite_number(entries[0])
+    if wrong := [entry for entry in entries if not all(entry.partition("="))]:
+        raise typer.BadParameter(f"{option} {wrong[0]}: expected one number, or JOINT=NUMBER for each drive")
+    return {name: finite_number(value) for name, _, value in (entry.partition("=") for entry in entries)}
+
+
+def _gains(text: str | None) -> tuple[float | None, float | None]:
+    numbers: Sequence[float] = [finite_number(entry) for entry in _names(text)]
+    if len(numbers) not in (0, 2):
+        raise typer.BadParameter(f"--gains {text}: expected KP,KD")
+    return (numbers[0], numbers[1]) if numbers else (None, None)
