@@ -21,6 +21,7 @@ from .errors.sensitivity import sensitivities as sensitivities
 from .exceptions import PM3DofError as PM3DofError
 from .export.formats import export_robot as export_robot
 from .kinematics.grid import Grid as Grid
+from .kinematics.jacobians import jacobian as jacobian
 from .kinematics.mobility import instantaneous_mobility as instantaneous_mobility
 from .kinematics.pose_file import read_poses as read_poses
 from .kinematics.poses import Poses as Poses

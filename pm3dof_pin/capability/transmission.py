@@ -203,9 +203,13 @@ def transmission(
     """Compute the transmission between the drives and the coordinates of a robot, which are joints.
 
     Example:
+        The drives of the tripod, felt by its three coordinates, which are joints:
+
         >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.capability.transmission import joint_driven, transmission
-        >>> tripod = joint_driven(pm.load("pm3dof"), ["platform_x_joint"])  # doctest: +SKIP
+        >>> from pm3dof_pin.capability.transmission import transmission
+        >>> at = transmission(pm.load("pm3dof"), [0.0, 0.0, 0.493], effort=500.0)
+        >>> at.unit_pure_torques.round(3)
+        array([0.115, 0.133, 2.843])
 
     Args:
         robot: a robot with joints as coordinates, see :func:`joint_driven`.

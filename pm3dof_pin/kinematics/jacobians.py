@@ -91,9 +91,8 @@ def jacobian(
         Rates of the tripod's drives by those of its coordinates, J_t of equation (8.9):
 
         >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.kinematics.jacobians import jacobian
         >>> robot = pm.load("pm3dof")
-        >>> J = jacobian(robot, robot.solve([0.1, -0.2, 0.5]), of="commands", by="coordinates")
+        >>> J = pm.jacobian(robot, robot.solve([0.1, -0.2, 0.5]), of="commands", by="coordinates")
         >>> J.columns, J.values.shape
         (('theta_x', 'theta_y', 'z_e'), (3, 3))
 

@@ -20,6 +20,7 @@ FLOORS = (
     ("elastic",),
     ("chapter",),
     ("dynamics",),
+    ("capability",),
     ("errors",),
     ("measuring",),
     ("simulation",),
