@@ -63,6 +63,7 @@ class SerialModel:
     """What to type into a serial model, and by how much it is wrong over a box of poses."""
 
     joints: tuple[str, ...]  #: names of the m joints
+    units: tuple[str, ...]  #: "m" or "rad" of each
     lower: Vector  #: ends of the box, shape=(m,) [rad, m]
     upper: Vector  #: shape=(m,) [rad, m]
     unreached: float  #: share of the box's poses out of reach or beyond limits of the closed mechanism
@@ -101,12 +102,14 @@ def serial_model(transmission: Transmission, *, kp: float | None = None, kd: flo
     values = transmission.poses.coordinates.reshape(-1, count)
     rotor = _at(transmission.rotor_inertia, within)
     diagonal = np.einsum("...ii->...i", rotor)
-    off = np.abs(rotor) / np.sqrt(diagonal[..., :, None] * diagonal[..., None, :])
+    with np.errstate(invalid="ignore"):  # rotors without inertia
+        off = np.abs(rotor) / np.sqrt(diagonal[..., :, None] * diagonal[..., None, :])
     off[..., np.arange(count), np.arange(count)] = 0.0
     known = {"effort": np.isfinite(transmission.effort).all(), "speed": np.isfinite(transmission.speed).all()}
     gains = {"kp": kp, "kd": kd}
     return SerialModel(
         joints=transmission.joints,
+        units=tuple(c.unit for c in transmission.poses.robot.coordinates),
         lower=frozen(np.nanmin(values, axis=0)),
         upper=frozen(np.nanmax(values, axis=0)),
         unreached=float(1.0 - within.mean()),

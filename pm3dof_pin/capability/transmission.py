@@ -34,8 +34,8 @@ Limit: TypeAlias = float | Mapping[str, float] | ArrayLike | None
 _UNLIMITED = 1e300
 
 
-def joint_driven(robot: Robot, joints: Sequence[str], drives: Sequence[str] = ()) -> Robot:
-    """Return a robot whose coordinates are joints, and whose drives are the given ones, or those it has.
+def joint_driven(robot: Robot, joints: Sequence[str] = (), drives: Sequence[str] = ()) -> Robot:
+    """Return a robot whose coordinates are joints, and whose drives are the given ones; by default those it has.
 
     Raises:
         JointNotFoundError: there is no such joint.
@@ -46,9 +46,9 @@ def joint_driven(robot: Robot, joints: Sequence[str], drives: Sequence[str] = ()
         if len(set(names)) < len(names):
             raise InvalidValueError("joints", ", ".join(names), "each joint once")
     coordinates = [Coordinate(name, robot.single_joint(name).unit, joint=name) for name in joints]
-    if not drives:
-        return robot.replace(coordinates=tuple(coordinates))
-    return robot.replace(coordinates=tuple(coordinates), actuated_joints=tuple(drives), commands=())
+    if joints:
+        robot = robot.replace(coordinates=tuple(coordinates))
+    return robot.replace(actuated_joints=tuple(drives), commands=()) if drives else robot
 
 
 def held_outside(robot: Robot, link: str) -> Robot:
@@ -200,7 +200,7 @@ def transmission(
     payloads: Payloads | None = None,
     **options: Unpack[BatchOptions],
 ) -> Transmission:
-    """Compute the transmission between the drives and the coordinates of a robot, which are joints.
+    """Compute the transmission between the drives and the coordinates of a robot.
 
     Example:
         The drives of the tripod, felt by its three coordinates, which are joints:
@@ -212,7 +212,7 @@ def transmission(
         array([0.115, 0.133, 2.843])
 
     Args:
-        robot: a robot with joints as coordinates, see :func:`joint_driven`.
+        robot: the robot; see :func:`joint_driven` for one with joints as coordinates.
         values: of the joints, shape=(..., m) [rad, m]; or solved poses.
         effort: limits of the drives' torques or forces [N m, N].
         speed: limits of their rates [rad/s, m/s].

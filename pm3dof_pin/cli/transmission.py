@@ -12,9 +12,10 @@ from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_g
 from pm3dof_pin.cli.options import Json, Payload, PlaceOptions, RobotOptions, finite_number, payloads_of
 from pm3dof_pin.cli.output import fixed, message, print_result, table_lines
 from pm3dof_pin.cli.poses import place
+from pm3dof_pin.description.coordinates import shown_in
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from pm3dof_pin.capability.serial_model import SerialModel, Spread
     from pm3dof_pin.capability.transmission import Transmission
@@ -81,10 +82,7 @@ def transmission(
     robot = which.load()
     if subtree is not None:
         robot = held_outside(robot, subtree)
-    names = _names(joints) or [c.joint for c in robot.coordinates if c.joint is not None]
-    if not names:
-        raise typer.BadParameter(f"--joints: expected joints, since the coordinates of {robot.name} are none")
-    robot = joint_driven(robot, names, _names(drives))
+    robot = joint_driven(robot, _names(joints), _names(drives))
     limits: Any = {
         "effort": _limits("--effort", effort),
         "speed": _limits("--speed", speed),
@@ -163,34 +161,34 @@ def serial_model_result(model: SerialModel) -> dict[str, Any]:
         "reached_share_of_box": model.reached_scale,
         "distance_to_singularity": model.distance_to_singularity,
         "rotor_coupling": model.coupling,
-        **{key: spread(found) for key, (_, found) in _quantities(model).items()},
+        **{key: spread(found) for key, (_, _, found) in _quantities(model).items()},
     }
 
 
-def _quantities(model: SerialModel) -> Mapping[str, tuple[str, Spread]]:
-    """Return what a serial model is given: by key of JSON, its words and its spread."""
-    found: dict[str, tuple[str, Spread | None]] = {
-        "rotor_inertia_kg_m2": ("armature: rotors [kg m²]", model.armature),
-        "inertia_kg_m2": ("inertia with moving links [kg m²]", model.inertia),
-        "greatest_pure_torque_by_drive_effort": ("pure torque [efforts of a drive]", model.unit_torque),
-        "greatest_pure_torque_N_m": ("pure torque beyond the weight [N m]", model.torque),
-        "greatest_pure_speed_rad_s": ("pure speed [rad/s]", model.speed),
-        "joint_stiffness_N_m_rad": ("kp at the joint [N m/rad]", model.gains.get("kp")),
-        "joint_damping_N_m_s_rad": ("kd at the joint [N m s/rad]", model.gains.get("kd")),
+def _quantities(model: SerialModel) -> dict[str, tuple[str, tuple[str, str], Spread]]:
+    """Return what a serial model is given: by key of JSON, its words, its units along and about an axis, its spread."""
+    has_rotors = bool(model.armature.greatest.any())
+    found: dict[str, tuple[str, tuple[str, str], Spread | None]] = {
+        "rotor_inertia_kg_m2": ("armature (rotors)", ("kg", "kg m²"), model.armature if has_rotors else None),
+        "inertia_kg_m2": ("inertia with links", ("kg", "kg m²"), model.inertia),
+        "greatest_pure_torque_by_drive_effort": ("torque by a drive's effort", ("", ""), model.unit_torque),
+        "greatest_pure_torque_N_m": ("torque beyond the weight", ("N", "N m"), model.torque),
+        "greatest_pure_speed_rad_s": ("speed", ("m/s", "rad/s"), model.speed),
+        "joint_stiffness_N_m_rad": ("kp", ("N/m", "N m/rad"), model.gains.get("kp")),
+        "joint_damping_N_m_s_rad": ("kd", ("N s/m", "N m s/rad"), model.gains.get("kd")),
     }
-    return {key: (words, spread) for key, (words, spread) in found.items() if spread is not None}
+    return {key: (words, units, spread) for key, (words, units, spread) in found.items() if spread is not None}
 
 
 def _lines(at: Transmission) -> list[str]:
     rows = [[drive, *(fixed(entry, 6) for entry in row)] for drive, row in zip(at.drives, at.jacobian, strict=True)]
     lines = table_lines(["rates of drives by those of", *at.joints], rows)
-    for words, matrix in (
-        ("rotors felt at the joints [kg m²]", at.rotor_inertia),
-        ("inertia with moving links [kg m²]", at.inertia),
-    ):
-        entries = zip(at.joints, _cleaned(matrix), strict=True)
-        rows = [[joint, *(f"{entry:.6g}" for entry in row)] for joint, row in entries]
-        lines += ["", *table_lines([words, *at.joints], rows)]
+    matrices = {"rotors felt": at.rotor_inertia, "inertia with moving links": at.inertia}
+    for words, matrix in matrices.items():
+        if matrix.any():
+            entries = zip(at.joints, _cleaned(matrix), strict=True)
+            rows = [[joint, *(f"{entry:.6g}" for entry in row)] for joint, row in entries]
+            lines += ["", *table_lines([f"{words} [kg, m, rad]", *at.joints], rows)]
     return lines
 
 
@@ -201,21 +199,26 @@ def _cleaned(matrix: Array) -> Array:
 
 
 def _box_lines(model: SerialModel) -> list[str]:
-    ends = zip(model.joints, np.degrees(model.lower), np.degrees(model.upper), strict=True)
-    lines = [f"over {', '.join(f'{joint} {low:.4g} to {high:.4g}' for joint, low, high in ends)} deg"]
+    ends = []
+    for joint, low, high, unit in zip(model.joints, model.lower, model.upper, model.units, strict=True):
+        factor, shown = shown_in(unit)
+        ends.append(f"{joint} {factor * low:.4g} to {factor * high:.4g} {shown}")
+    lines = [f"over {', '.join(ends)}"]
     if model.unreached:
         lines.append(
             f"{100.0 * model.unreached:.1f} % of these poses are out of reach or beyond limits; none is in the box of "
             f"{model.reached_scale:.2f} times the size about the same centre"
         )
     rows = []
-    for words, spread in _quantities(model).values():
+    for words, units, spread in _quantities(model).values():
         columns = (spread.least, spread.greatest, spread.least_wrong, spread.error)
-        for joint, low, high, typed, error in zip(model.joints, *columns, strict=True):
-            rows.append([words, joint, f"{low:.4g}", f"{high:.4g}", f"{typed:.4g}", f"±{100.0 * error:.0f} %"])
+        for joint, unit, low, high, typed, error in zip(model.joints, model.units, *columns, strict=True):
+            numbers = (f"{low:.4g}", f"{high:.4g}", f"{typed:.4g}", f"±{100.0 * error:.0f} %")
+            rows.append([words, joint, units[unit == "rad"], *numbers])
             words = ""
-    lines += table_lines(["", "joint", "least", "greatest", "least wrong", "off by"], rows, words=2)
-    lines.append(f"rotors couple the joints by up to {100.0 * model.coupling:.0f} % of their own inertia")
+    lines += table_lines(["", "", "", "least", "greatest", "least wrong", "off by"], rows, words=3)
+    if model.coupling:
+        lines.append(f"rotors couple the joints by up to {100.0 * model.coupling:.0f} % of their own inertia")
     return lines
 
 
