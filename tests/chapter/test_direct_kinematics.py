@@ -84,9 +84,9 @@ def test_newton_tells_which_of_many_failed(tripod: Tripod) -> None:
 
 @pytest.mark.parametrize("u", [[0.24, 0.24], [np.nan, 0.24, 0.24], 0.24])
 def test_nonsense_travels_are_refused(tripod: Tripod, u: object) -> None:
-    with pytest.raises(InvalidValueError, match=r"u (=|of shape) "):
+    with pytest.raises(InvalidValueError, match=r"^u "):
         direct_kinematics(tripod, u)  # type: ignore[arg-type]
-    with pytest.raises(InvalidValueError, match=r"u (=|of shape) "):
+    with pytest.raises(InvalidValueError, match=r"^u "):
         all_assembly_modes(tripod, u)  # type: ignore[arg-type]
 
 

@@ -93,7 +93,7 @@ def test_what_no_command_can_undo_is_in_the_middle(tripod_map: ErrorMap) -> None
     ranking = tripod_map.ranking()
     assert sum(share.share for share in ranking) == pytest.approx(1.0)
     assert sum(share.uncompensable_share for share in ranking) == pytest.approx(1.0)
-    assert [share.share for share in ranking] == sorted((share.share for share in ranking), reverse=True)
+    assert (np.diff([share.share for share in ranking]) <= 1e-12).all()  # equal legs differ by rounding
 
 
 def test_how_much_of_the_error_commands_can_undo(tripod_map: ErrorMap) -> None:

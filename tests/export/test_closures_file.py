@@ -21,7 +21,7 @@ MATRIX = np.diag([1e5, 2e5, 3e-5, 4.0, 5.0, 1e17])
 def _text(tmp_path: Path, content: str) -> str:
     path = tmp_path / "x.closures.xacro"
     path.write_text(HEAD + content + "</closures>", encoding="utf-8")
-    return closures_text(path, expand_xacro(path, {"config": str(tmp_path / "x.yaml")}))
+    return closures_text(path, expand_xacro(path))
 
 
 def test_what_is_said_arrives(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def _srdf(tmp_path: Path, content: str) -> str:
     path = tmp_path / "linkage.srdf.xacro"
     root = f"<robot name='linkage' xmlns:xacro='http://www.ros.org/wiki/xacro'>{content}</robot>"
     path.write_text(root, encoding="utf-8")
-    return srdf_text(path, expand_xacro(path, {"config": str(tmp_path / "linkage.yaml")}), URDF, CLOSURES)
+    return srdf_text(path, expand_xacro(path), URDF, CLOSURES)
 
 
 def test_the_other_joints_follow_from_the_loops(tmp_path: Path) -> None:

@@ -251,7 +251,7 @@ def test_nonsense_is_refused(mechanism: Robot, tmp_path: Path) -> None:
         Atlas(mechanism, grid, ("K", "colour"), tmp_path / "atlas.nc")
     with pytest.raises(InvalidValueError, match=r"ending in \.nc or \.zarr"):
         Atlas(mechanism, grid, ("K",), tmp_path / "atlas.csv")
-    with pytest.raises(InvalidValueError, match="grid = one pose"):
+    with pytest.raises(InvalidValueError, match="grid is one pose"):
         Atlas(mechanism, mechanism.grid(), ("K",), tmp_path / "atlas.nc")
     hexapod = Robot.load("hexapod")
     with pytest.raises(InvalidValueError, match="quantities = chapter_global"):

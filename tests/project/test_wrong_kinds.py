@@ -31,5 +31,7 @@ CALLS: dict[str, Callable[[object], object]] = {
 @pytest.mark.parametrize("wrong", ["pm3dof", None, 3.0, np.zeros(12), {}], ids=lambda wrong: type(wrong).__name__)
 @pytest.mark.parametrize("name", CALLS)
 def test_refused_by_name(name: str, wrong: object) -> None:
+    if name == "calibrate" and isinstance(wrong, str):
+        pytest.skip("a string is the path of a file of measurements")
     with pytest.raises(InvalidValueError, match=r" = .*: expected an? [A-Z]\w+, as returned by "):
         CALLS[name](wrong)
