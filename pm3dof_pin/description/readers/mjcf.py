@@ -398,7 +398,8 @@ class _MjcfReader(ElementReader):
             require_own(path, self.document.folders, self.document.path, named(asset))
             if not path.is_file() or path.suffix.lower() == ".msh":
                 return None
-            parts = read_meshes(path)
+            if not (parts := read_meshes(path)):
+                return None
             ends = np.cumsum([0, *(len(part.vertices) for part in parts)])
             vertices = np.concatenate([np.asarray(part.vertices) for part in parts])
             faces = np.concatenate([np.asarray(part.faces) + end for part, end in zip(parts, ends, strict=False)])

@@ -50,8 +50,8 @@ class MjcfDocument:
         self._compilers: dict[int, Mapping[str, str]] = {}
         self._kept: list[Element] = []  # elements whose identity is used, so that it stays theirs
         self.defaults = _Defaults(self.root)
-        self._replicate(self.root)
         self._attach()
+        self._replicate(self.root)
 
     def compiler_of(self, element: Element) -> Mapping[str, str]:
         """Return the settings of the model that an element was attached from."""
@@ -106,23 +106,38 @@ class MjcfDocument:
             suffix = f"{element.get('sep', '')}{number:0{len(str(count - 1))}d}"
             frame = _new("frame", {} if number == 0 else pose, element)
             for part in children(element):
-                frame.append(_copied(part, suffix))
+                frame.append(self._copied(part, suffix))
             if frames:
                 frames[-1].append(frame)
             frames.append(frame)
         return frames[:1]
 
+    def _copied(self, element: Element, suffix: str) -> Element:
+        """Return a copy with a suffix to all names."""
+        copied = _new(element.tag, element.attrib, element)
+        if "name" in element.attrib:
+            copied.set("name", element.attrib["name"] + suffix)
+        self._keep(copied, self.compiler_of(element))
+        copied.extend(self._copied(part, suffix) for part in children(element))
+        return copied
+
+    def _keep(self, element: Element, compiler: Mapping[str, str]) -> None:
+        """Remember the settings of an element, which must therefore keep its identity."""
+        self._compilers[id(element)] = compiler
+        self._kept.append(element)
+
     # Attached models
 
     def _attach(self) -> None:
-        models = {entry.get("name") or Path(entry.get("file", "")).stem: entry for entry in self._models()}
+        models: dict[str, Element] = {}
+        for model in (entry for entry in self.sections("asset") if entry.tag == "model"):
+            path = self.asset_path(model, "")
+            require_own(path, self.folders, self.path, named(model))
+            models[model.get("name") or read_xml(path).get("model") or path.stem] = model
         for parent in list(self.root.iter()):
             for index, entry in reversed(list(enumerate(parent))):
                 if entry.tag == "attach" and isinstance(entry, Element):
                     parent[index : index + 1] = self._attached(entry, models)
-
-    def _models(self) -> list[Element]:
-        return [entry for entry in self.sections("asset") if entry.tag == "model"]
 
     def _attached(self, element: Element, models: Mapping[str, Element]) -> list[Element]:
         """Return the bodies of another model, with a prefix before all their names, and merge its other sections."""
@@ -141,8 +156,7 @@ class MjcfDocument:
             if isinstance(part, Element):
                 for key in _NAMES & part.attrib.keys():
                     part.set(key, prefix + part.attrib[key])
-                self._compilers[id(part)] = other.compiler_of(part)
-                self._kept.append(part)
+                self._keep(part, other.compiler_of(part))
         for section in children(other.root, *_MERGED):
             self.root.append(section)
         if "body" in element.attrib:
@@ -211,15 +225,6 @@ def kind_of(element: Element) -> str:
     if element.tag in _ACTUATORS:
         return "actuator"
     return "equality" if element.tag in ("connect", "weld", "equality") else element.tag
-
-
-def _copied(element: Element, suffix: str) -> Element:
-    """Return a copy with a suffix to all names."""
-    copied = _new(element.tag, element.attrib, element)
-    if "name" in element.attrib:
-        copied.set("name", element.attrib["name"] + suffix)
-    copied.extend(_copied(part, suffix) for part in children(element))
-    return copied
 
 
 def _new(tag: str, attributes: Mapping[str, str], like: Element) -> Element:
