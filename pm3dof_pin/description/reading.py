@@ -14,6 +14,7 @@ from pm3dof_pin.description.description import Body, Description, Frame, Joint, 
 from pm3dof_pin.description.origin import Origin
 from pm3dof_pin.description.physical_bounds import ANY, parse_numbers
 from pm3dof_pin.description.readers.mjcf import read_mjcf
+from pm3dof_pin.description.readers.sdf import read_sdf
 from pm3dof_pin.description.readers.urdf import read_urdf
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.description.xml_file import children, read_xml
@@ -53,8 +54,12 @@ def _read_mjcf(files: RobotFiles, lenient: bool) -> Description:
     return read_mjcf(files.path, files.own_folders, lenient=lenient)
 
 
+def _read_sdf(files: RobotFiles, lenient: bool) -> Description:
+    return read_sdf(read_xml(files.path), lenient=lenient)
+
+
 READERS: Mapping[str, Callable[[RobotFiles, bool], Description]] = MappingProxyType(
-    {"urdf": _read_urdf, "mjcf": _read_mjcf}
+    {"urdf": _read_urdf, "mjcf": _read_mjcf, "sdf": _read_sdf}
 )
 """Readers of the tree, by dialect."""
 

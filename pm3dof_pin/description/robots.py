@@ -18,10 +18,10 @@ DESCRIPTION_SUFFIX = "_description"
 CLOSURES_SUFFIX = ".closures.yaml"
 _CLOSURES_FALLBACK = "robot.yaml"
 
-Format = Literal["urdf", "mjcf"]
+Format = Literal["urdf", "mjcf", "sdf"]
 
-_FORMAT_OF_ROOT: dict[str, Format] = {"robot": "urdf", "mujoco": "mjcf"}
-_NOT_READ = {"sdf": "SDF", "COLLADA": "Collada", "Robot": "OpenRAVE XML", "KinBody": "OpenRAVE XML", "svg": "SVG"}
+_FORMAT_OF_ROOT: dict[str, Format] = {"robot": "urdf", "mujoco": "mjcf", "sdf": "sdf"}
+_NOT_READ = {"COLLADA": "Collada", "Robot": "OpenRAVE XML", "KinBody": "OpenRAVE XML", "svg": "SVG"}
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def find_robot(
             - a URDF `x.urdf`. Its closures file `x.closures.yaml` or `robot.yaml` may be next to it or in `../urdf`,
               its SRDF `x.srdf` next to it or in `../srdf`; without a closures file it is a serial robot;
             - a xacro file that expands to a URDF;
-            - an MJCF file;
+            - an MJCF file, or an SDF file with one model;
             - a closures file, `x.closures.yaml` or `robot.yaml`, with its URDF next to it;
             - a folder with one of these: `robot.yaml` with `robot.urdf`, or the folder of a ROS package with `urdf/`.
         package_paths: folders of ROS packages, searched before ROS_PACKAGE_PATH and the folders above the file.
@@ -159,15 +159,15 @@ def _tree_and_closures(path: Path) -> tuple[Path, Path | None]:
     if path.is_dir():
         if (path / _CLOSURES_FALLBACK).is_file():
             return _tree_and_closures(path / _CLOSURES_FALLBACK)
-        for pattern in ("*.urdf", "urdf/*.urdf", "*.urdf.xacro", "*/*.urdf.xacro", "*.xml", "mjcf/*.xml"):
+        for pattern in ("*.urdf", "urdf/*.urdf", "*.urdf.xacro", "*/*.urdf.xacro", "*.xml", "mjcf/*.xml", "*.sdf"):
             if trees := sorted(tree for tree in path.glob(pattern) if tree.suffix != ".xml" or _is_mjcf(tree)):
                 return _only(trees, path), None
-        raise DescriptionError(path, "folder", "expected a URDF, a xacro file or an MJCF file in it, or in urdf/")
+        raise DescriptionError(path, "folder", "expected a URDF, a xacro, an MJCF or an SDF file in it, or in urdf/")
     if path.suffix not in (".yaml", ".yml"):
         return path, None
     if path.name.endswith(CLOSURES_SUFFIX):
         name = path.name.removesuffix(CLOSURES_SUFFIX)
-        trees = [path.with_name(f"{name}.urdf"), path.with_name(f"{name}.xml")]
+        trees = [path.with_name(f"{name}.urdf"), path.with_name(f"{name}.xml"), path.with_name(f"{name}.sdf")]
     else:
         trees = [path.with_suffix(".urdf"), *sorted(path.parent.glob("*.urdf"))]
     trees = [tree for tree in trees if tree.is_file()]
@@ -193,7 +193,9 @@ def _format_of(tree: Path) -> Format:
     tag = read_root_tag(tree).rpartition("}")[2]
     if tag not in _FORMAT_OF_ROOT:
         form = _NOT_READ.get(tag, f"an XML file of <{tag}>")
-        raise DescriptionError(tree, "file", f"this is {form}, which is not supported: expected URDF, xacro or MJCF")
+        raise DescriptionError(
+            tree, "file", f"this is {form}, which is not supported: expected URDF, xacro, MJCF or SDF"
+        )
     return _FORMAT_OF_ROOT[tag]
 
 

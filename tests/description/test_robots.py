@@ -79,7 +79,7 @@ def test_a_folder_of_several_robots_or_none_is_refused(urdf: Path, tmp_path: Pat
     with pytest.raises(DescriptionError, match=r"expected one robot, or the path of one of arm\.urdf, leg\.urdf"):
         find_robot(urdf.parent)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(DescriptionError, match="expected a URDF, a xacro file or an MJCF file"):
+    with pytest.raises(DescriptionError, match="expected a URDF, a xacro, an MJCF or an SDF file"):
         find_robot(tmp_path / "empty")
 
 
@@ -111,8 +111,6 @@ def test_xacro_is_expanded(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("arm.sdf", "<sdf version='1.7'><model name='arm'/></sdf>", "this is SDF, which is not supported"),
-        ("arm.urdf", "<sdf version='1.7'/>", "this is SDF, which is not supported"),
         ("arm.dae", "<COLLADA xmlns='http://www.collada.org/2005/11/COLLADASchema'/>", "this is Collada"),
         ("arm.xml", "<scene/>", "this is an XML file of <scene>, which is not supported"),
         ("arm.stl", "solid arm", "line 1, column 0: expected XML"),

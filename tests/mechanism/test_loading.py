@@ -121,8 +121,12 @@ def test_unknown_robot() -> None:
     [
         ("no XML at all", "line 1", "XML"),
         (ARM.replace("</joint>", "</joynt>"), "line 6", "mismatched tag"),
-        (ARM.replace("robot", "machine"), "file", "<machine>, which is not supported: expected URDF, xacro or MJCF"),
-        ('<sdf version="1.9"><model name="arm"/></sdf>', "file", "this is SDF, which is not supported"),
+        (
+            ARM.replace("robot", "machine"),
+            "file",
+            "<machine>, which is not supported: expected URDF, xacro, MJCF or SDF",
+        ),
+        ('<sdf version="1.9"><model name="arm"/></sdf>', "<model name='arm'>", "has no links"),
         (ARM.replace('<link name="forearm"/>', ""), "joint 'elbow': child", "forearm"),
         (ARM.replace('lower="-1"', 'lower="low"'), "joint 'elbow': limit: lower", "'low'"),
     ],

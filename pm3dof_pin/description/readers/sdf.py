@@ -1,0 +1,486 @@
+"""SDF 1.7 to 1.11 (and earlier, as far as they agree): one model, whose joints may close loops.
+
+Joints that close a loop are cut, and become loop closures of their type: first balls, then universal joints, then
+hinges and slides, of these the last in the file; fixed joints and joints with a controller are kept if possible. The
+report of what was read over says which were cut. A model without a joint to the world is held at its first link.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.description.closure_types import ClosureTypeName
+from pm3dof_pin.description.closures import Axis, LoopClosure
+from pm3dof_pin.description.couplings import Coupling
+from pm3dof_pin.description.description import (
+    IDENTITY,
+    Body,
+    Description,
+    Drive,
+    Frame,
+    Inertial,
+    Joint,
+    JointType,
+    Placement,
+    Shape,
+    ShapeKind,
+    Unread,
+    universal_hinges,
+)
+from pm3dof_pin.description.inertia_checks import MOMENTS, inertia_matrix, inertia_problem, is_reversed
+from pm3dof_pin.description.origin import Origin
+from pm3dof_pin.description.physical_bounds import ANY, LENGTH, MASS, NOT_NEGATIVE, PRODUCT, SIZE, Bounds
+from pm3dof_pin.description.readers.elements import ElementReader, free_name, named
+from pm3dof_pin.description.xml_file import Element, child, children
+
+WORLD = "world"
+"""Name of the body that is the world."""
+
+_JOINT_TYPES: dict[str, JointType] = {
+    "fixed": "fixed", "revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic",
+    "ball": "spherical", "screw": "helical",
+}  # fmt: skip
+_TWO_AXES = ("universal", "revolute2")
+_CLOSURES: dict[str, ClosureTypeName] = {
+    "fixed": "6d", "revolute": "hinge", "continuous": "hinge", "prismatic": "prismatic", "ball": "3d",
+    "universal": "universal",
+}  # fmt: skip
+_KEPT_FIRST = {"fixed": 0, "screw": 1, "revolute2": 1, "universal": 4, "ball": 5}  # 2 if driven, 3 otherwise
+_UNLIMITED = 1e15  # limits at least this large are none
+_SIZES: dict[str, tuple[ShapeKind, tuple[tuple[str, int], ...]]] = {
+    "box": ("box", (("size", 3),)),
+    "cylinder": ("cylinder", (("radius", 1), ("length", 1))),
+    "capsule": ("capsule", (("radius", 1), ("length", 1))),
+    "sphere": ("sphere", (("radius", 1),)),
+    "ellipsoid": ("ellipsoid", (("radii", 3),)),
+}
+_MODEL_PARTS = (
+    "link",
+    "joint",
+    "frame",
+    "model",
+    "pose",
+    "include",
+    "static",
+    "self_collide",
+    "allow_auto_disable",
+    "plugin",
+)
+_MODEL_PASSED = ("gripper", "enable_wind", "enable_stability", "placement_frame")
+_JOINT_PARTS = ("parent", "child", "pose", "axis", "axis2", "screw_thread_pitch", "thread_pitch")
+_GEARS = ("gearbox_ratio", "gearbox_reference_body")
+
+
+def read_sdf(root: Element, *, lenient: bool = False) -> Description:
+    """Read the only model of an SDF from its root element.
+
+    Raises:
+        DescriptionError: there is no model or several, a number is malformed or impossible, a name is unknown, or an
+            element that could carry a loop, a coupling or a drive is not supported.
+    """
+    return _SdfReader(root, lenient=lenient).read()
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """A joint of the file between two bodies, all placed in the model."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    placement: pin.SE3  # of the joint's frame
+    axes: tuple[tuple[float, ...], ...]  # in the joint's frame
+    element: Element
+
+    @property
+    def origin(self) -> Origin:
+        return self.element.origin
+
+
+class _SdfReader(ElementReader):
+    def __init__(self, root: Element, *, lenient: bool) -> None:
+        super().__init__(root.path, lenient=lenient)
+        self.root = root
+        self.elements: dict[str, Element] = {}  # links, frames, joints and models with a pose, by scoped name
+        self.scopes: dict[str, str] = {}
+        self.placements: dict[str, pin.SE3] = {WORLD: pin.SE3.Identity()}
+        self.bodies: dict[str, Body] = {}
+        self.couplings: list[Coupling] = []
+
+    def read(self) -> Description:
+        """Read the model."""
+        worlds = children(self.root, "world")
+        models = [model for part in (self.root, *worlds) for model in children(part, "model")]
+        if len(models) != 1:
+            raise self.root.origin.error("<sdf>", f"has {len(models)} models, expected one")
+        model = models[0]
+        self._register(model, "")
+        for name, element in self.elements.items():
+            if element.tag == "link":
+                self.bodies[name] = self._body(element, name)
+        edges = [self._edge(name, element) for name, element in self.elements.items() if element.tag == "joint"]
+        drives = tuple(self._drives(model, {edge.name for edge in edges}))
+        if any(WORLD in (edge.parent, edge.child) for edge in edges):
+            self.bodies = {WORLD: Body(WORLD, origin=model.origin), **self.bodies}
+        if not self.bodies:
+            raise model.origin.error(named(model), "has no links, expected some")
+        tree, cut = self._spanning_tree(edges, {drive.joint for drive in drives})
+        joints = [joint for edge, is_reversed in tree for joint in self._joints(edge, reverse=is_reversed)]
+        closure_frames, closures = self._closures(cut)
+        couplings = [c for edge in edges for c in self._mimic(edge, {joint.name for joint in joints})]
+        frames = [
+            Frame(name, self._link_of(name), Placement.from_se3(self._in(self._link_of(name), name)), element.origin)
+            for name, element in self.elements.items()
+            if element.tag == "frame"
+        ]
+        gravity = next((g for world in worlds if (g := child(world, "gravity")) is not None), None)
+        driven = tuple(dict.fromkeys(drive.joint for drive in drives if drive.joint in {j.name for j in joints}))
+        return Description(
+            model.get("name", "model"),
+            tuple(self.bodies.values()),
+            tuple(joints),
+            (*frames, *closure_frames),
+            tuple(closures),
+            tuple(couplings),
+            drives,
+            driven if closures or couplings else (),
+            gravity=(0.0, 0.0, -9.81) if gravity is None else self._texts(gravity, 3, ANY, "<gravity>"),
+            unread=tuple(self.unread),
+            dialect="sdf",
+            origin=self.root.origin,
+        )
+
+    # Names and poses
+
+    def _register(self, model: Element, scope: str) -> None:
+        self.check_children(model, _MODEL_PARTS, _MODEL_PASSED)
+        for element in children(model):
+            if element.tag == "plugin" and child(element, "joint_name") is None:
+                self.read_over(element)
+            if element.tag == "include":
+                self.refuse(element, "is not supported: expected the model written out")
+            if element.tag not in ("link", "joint", "frame", "model"):
+                continue
+            name = f"{scope}{element.get('name', '')}"
+            if not element.get("name"):
+                raise element.origin.error(f"<{element.tag}>", "has no name, expected one")
+            if name in self.elements:
+                raise element.origin.error(f"{element.tag} '{name}'", "is defined twice, expected unique names")
+            self.elements[name], self.scopes[name] = element, scope
+            if element.tag == "model":
+                self._register(element, f"{name}::")
+
+    def _resolved(self, name: str, scope: str, element: Element) -> str:
+        """Return the scoped name of what a reference means; the model's own frame is that of its scope."""
+        if name in ("", "__model__", "__root__"):
+            return scope.removesuffix("::")
+        if name == WORLD:
+            return WORLD
+        if f"{scope}{name}" not in self.elements:
+            raise element.origin.error(named(element), f"expected an existing frame, not '{name}'")
+        return f"{scope}{name}"
+
+    def _placement(self, name: str, within: tuple[str, ...] = ()) -> pin.SE3:
+        """Return the placement of a link, joint, frame or nested model in the model."""
+        if not name:
+            return pin.SE3.Identity()
+        if name in within:
+            raise self.elements[name].origin.error(named(self.elements[name]), "its pose refers to itself")
+        if name not in self.placements:
+            element, scope = self.elements[name], self.scopes[name]
+            pose = child(element, "pose")
+            reference = "" if pose is None else pose.get("relative_to", "")
+            if not reference and element.tag == "joint":
+                reference = self._text(element, "child")
+            if not reference and element.tag == "frame":
+                reference = element.get("attached_to", "")
+            base = self._placement(self._resolved(reference, scope, element), (*within, name))
+            self.placements[name] = base * self._pose(element, named(element)).se3
+        return self.placements[name]
+
+    def _link_of(self, name: str, within: tuple[str, ...] = ()) -> str:
+        """Return the body that a link, frame or joint is attached to."""
+        if name == WORLD or name in self.bodies or name in within:
+            return name
+        element = self.elements[name]
+        if element.tag == "link":
+            return name
+        if element.tag == "model":
+            links = [
+                link for link, part in self.elements.items() if part.tag == "link" and link.startswith(f"{name}::")
+            ]
+            return links[0] if links else WORLD
+        other = self._text(element, "child") if element.tag == "joint" else element.get("attached_to", "")
+        resolved = self._resolved(other, self.scopes[name], element)
+        if not resolved:
+            return next((link for link, part in self.elements.items() if part.tag == "link"), WORLD)
+        return self._link_of(resolved, (*within, name))
+
+    def _in(self, body: str, name: str) -> pin.SE3:
+        return self._placement(body).actInv(self._placement(name))
+
+    def _pose(self, element: Element, place: str) -> Placement:
+        """Return the `<pose>` of an element, relative to whatever it refers to."""
+        if (pose := child(element, "pose")) is None or not (pose.text or "").strip():
+            return IDENTITY
+        place = f"{place}: pose"
+        if pose.get("rotation_format") == "quat_xyzw":
+            *position, x, y, z, w = self._texts(pose, 7, ANY, place)
+            if not math.hypot(x, y, z, w):
+                raise pose.origin.error(place, "expected a quaternion, not zero")
+            return Placement.from_quaternion(tuple(position), (w, x, y, z))
+        numbers = self._texts(pose, 6, ANY, place)
+        unit = math.radians(1.0) if pose.get("degrees") in ("true", "1") else 1.0
+        return Placement.from_angles(numbers[:3], tuple(unit * angle for angle in numbers[3:]))
+
+    @staticmethod
+    def _text(element: Element, tag: str, default: str = "") -> str:
+        found = child(element, tag)
+        return default if found is None else (found.text or "").strip() or default
+
+    def _texts(self, element: Element, count: int, bounds: Bounds, place: str) -> tuple[float, ...]:
+        """Return the numbers that are the text of an element."""
+        shown = Element(element.tag, {"text": (element.text or "").strip()})
+        shown.path, shown.line = element.path, element.line
+        return self.numbers(shown, "text", count, bounds, place)
+
+    def _value(self, element: Element | None, tag: str, bounds: Bounds, place: str, default: float) -> float:
+        found = child(element, tag)
+        return default if found is None else self._texts(found, 1, bounds, f"{place}: {tag}")[0]
+
+    # Links
+
+    def _body(self, element: Element, name: str) -> Body:
+        place = f"link '{name}'"
+        inertial = child(element, "inertial")
+        if inertial is not None and inertial.get("auto") == "true":
+            self.unread.append(Unread(f"{named(element)} inertial", inertial.origin, "auto is not computed: 1 kg"))
+        mass = self._value(inertial, "mass", MASS, place, 1.0)
+        inertia = child(inertial, "inertia")
+        defaults = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
+        moments = tuple(
+            self._value(inertia, key, PRODUCT, f"{place}: inertia", default)
+            for key, default in zip(MOMENTS, defaults, strict=True)
+        )
+        matrix = inertia_matrix(moments)
+        if is_reversed(mass, matrix):
+            assert inertial is not None
+            raise inertial.origin.error(f"{place}: inertia", inertia_problem(mass, matrix))
+        centre = IDENTITY if inertial is None else self._pose(inertial, place)
+        return Body(
+            name,
+            Inertial(mass, centre, moments),
+            tuple(self._shapes(element, "visual", place)),
+            tuple(self._shapes(element, "collision", place)),
+            element.origin,
+        )
+
+    def _shapes(self, link: Element, tag: str, place: str) -> Iterator[Shape]:
+        for element in children(link, tag):
+            geometry = child(element, "geometry")
+            for shape in [] if geometry is None else children(geometry):
+                pose = self._pose(element, f"{place}: {tag}")
+                colour = child(child(element, "material"), "diffuse")
+                rgba = None if colour is None else (*self._texts_of_colour(colour), 1.0)[:4]
+                if shape.tag == "mesh":
+                    uri = self._text(shape, "uri").replace("model://", "package://")
+                    scale = child(shape, "scale")
+                    scales = (1.0, 1.0, 1.0) if scale is None else self._texts(scale, 3, ANY, f"{place}: scale")
+                    yield Shape("mesh", scales, pose, element.get("name", ""), uri, rgba)
+                elif shape.tag in _SIZES:
+                    kind, entries = _SIZES[shape.tag]
+                    sizes = [
+                        size
+                        for key, count in entries
+                        if (part := child(shape, key)) is not None
+                        for size in self._texts(part, count, SIZE, f"{place}: {tag}: {shape.tag}: {key}")
+                    ]
+                    if len(sizes) == sum(count for _, count in entries):
+                        yield Shape(kind, tuple(sizes), pose, element.get("name", ""), colour=rgba)
+                else:
+                    self.read_over(shape, f"in {place}")
+
+    def _texts_of_colour(self, colour: Element) -> tuple[float, ...]:
+        count = len((colour.text or "").split())
+        return self._texts(colour, 3 if count == 3 else 4, ANY, "<diffuse>")
+
+    # Joints
+
+    def _edge(self, name: str, element: Element) -> _Edge:
+        scope, kind, place = self.scopes[name], element.get("type", ""), f"joint '{name}'"
+        self.check_children(element, (*_JOINT_PARTS, *_GEARS), ("physics", "sensor"))
+        if kind == "gearbox":
+            self.refuse(element, "gearbox joints are not supported")
+            kind = "revolute"
+        if kind not in _JOINT_TYPES and kind not in _TWO_AXES:
+            known = ", ".join((*_JOINT_TYPES, *_TWO_AXES))
+            raise element.origin.error(place, f"expected one of {known}, not '{kind}'")
+        ends = []
+        for tag in ("parent", "child"):
+            given = self._text(element, tag) or self._text(child(element, tag) or element, "link")
+            if not given:
+                raise element.origin.error(f"{place}: {tag}", "expected a link")
+            ends.append(self._link_of(self._resolved(given, scope, element)))
+        placement = self._placement(name)
+        axes = tuple(self._axis(element, tag, scope, placement, place) for tag in ("axis", "axis2"))
+        return _Edge(name, kind, ends[0], ends[1], placement, axes, element)
+
+    def _axis(self, element: Element, tag: str, scope: str, placement: pin.SE3, place: str) -> tuple[float, ...]:
+        xyz = child(child(element, tag), "xyz")
+        axis = np.array([0.0, 0.0, 1.0] if xyz is None else self._texts(xyz, 3, ANY, f"{place}: {tag}"))
+        if not axis.any():
+            assert xyz is not None
+            raise xyz.origin.error(f"{place}: {tag}", "expected a direction, not zero")
+        reference = None if xyz is None else xyz.get("expressed_in")
+        if self._text(child(element, tag) or element, "use_parent_model_frame") in ("true", "1"):
+            reference = "__model__"
+        if reference is not None:
+            turn = self._placement(self._resolved(reference, scope, element)).rotation
+            axis = placement.rotation.T @ turn @ axis
+        return tuple((axis / np.linalg.norm(axis)).tolist())
+
+    def _joints(self, edge: _Edge, *, reverse: bool) -> list[Joint]:
+        """Return a joint of the tree, or two hinges of a universal one; reversed if its child carries its parent."""
+        element, place = edge.element, f"joint '{edge.name}'"
+        parent, other = (edge.child, edge.parent) if reverse else (edge.parent, edge.child)
+        axis = child(element, "axis")
+        limit, dynamics = child(axis, "limit"), child(axis, "dynamics")
+        bounds = [
+            self._value(limit, key, ANY, f"{place}: limit", sign * math.inf)
+            for key, sign in (("lower", -1), ("upper", 1))
+        ]
+        if bounds[0] > bounds[1]:
+            assert limit is not None
+            raise limit.origin.error(f"{place}: limit", f"expected lower <= upper, not {bounds[0]:g} and {bounds[1]:g}")
+        lower, upper = (None if abs(bound) >= _UNLIMITED else bound for bound in bounds)
+        effort, velocity = (self._value(limit, key, ANY, f"{place}: limit", -1.0) for key in ("effort", "velocity"))
+        is_limited = edge.kind in ("revolute", "prismatic", "screw")
+        kind = _JOINT_TYPES.get(edge.kind, "revolute")
+        sign = -1.0 if reverse else 1.0
+        joint = Joint(
+            edge.name,
+            kind,
+            parent,
+            other,
+            self._placed(self._placement(parent).actInv(edge.placement)),
+            self._placed(edge.placement.actInv(self._placement(other))),
+            axis=tuple(sign * x + 0.0 for x in edge.axes[0]),
+            lower=lower if is_limited else None,
+            upper=upper if is_limited else None,
+            effort=effort if 0.0 <= effort < _UNLIMITED else None,
+            velocity=velocity if 0.0 <= velocity < _UNLIMITED else None,
+            damping=self._value(dynamics, "damping", NOT_NEGATIVE, place, 0.0),
+            friction=self._value(dynamics, "friction", NOT_NEGATIVE, place, 0.0),
+            stiffness=self._value(dynamics, "spring_stiffness", ANY, place, 0.0),
+            rest=self._value(dynamics, "spring_reference", ANY, place, 0.0),
+            pitch=self._pitch(element, place),
+            origin=edge.origin,
+        )
+        if edge.kind not in _TWO_AXES:
+            return [joint]
+        cross = free_name(f"{edge.name}_cross", self.bodies)
+        self.bodies[cross] = Body(cross, origin=edge.origin)
+        hinges = universal_hinges(joint, cross, "xy")
+        axes = edge.axes[::-1] if reverse else edge.axes
+        return [
+            replace(hinge, axis=tuple(sign * x + 0.0 for x in axis)) for hinge, axis in zip(hinges, axes, strict=True)
+        ]
+
+    @staticmethod
+    def _placed(placement: pin.SE3) -> Placement:
+        return IDENTITY if placement.isIdentity(0.0) else Placement.from_se3(placement)
+
+    def _pitch(self, element: Element, place: str) -> float:
+        """Return the pitch of a screw [m/rad]; `thread_pitch` is its inverse with the opposite sign."""
+        travel = self._value(element, "screw_thread_pitch", LENGTH, place, 0.0)
+        turns = self._value(element, "thread_pitch", ANY, place, 0.0)
+        return travel / (2.0 * math.pi) if travel or not turns else -1.0 / turns
+
+    def _spanning_tree(self, edges: list[_Edge], driven: set[str]) -> tuple[list[tuple[_Edge, bool]], list[_Edge]]:
+        """Return the joints of a tree, from the root on, each with whether it is reversed, and those that are cut."""
+        component = {name: name for name in self.bodies}
+
+        def top(name: str) -> str:
+            while component[name] != name:
+                component[name] = component[component[name]]
+                name = component[name]
+            return name
+
+        kept: list[_Edge] = []
+        cut: list[_Edge] = []
+        for edge in sorted(edges, key=lambda e: _KEPT_FIRST.get(e.kind, 2 if e.name in driven else 3)):
+            ends = top(edge.parent), top(edge.child)
+            (cut if ends[0] == ends[1] else kept).append(edge)
+            component[ends[0]] = ends[1]
+        children_of = {edge.child for edge in kept}
+        roots = [name for name in self.bodies if name == WORLD or name not in children_of]
+        root = WORLD if WORLD in self.bodies else (roots or list(self.bodies))[0]
+        reached, tree = {root}, []
+        pending = [edge for edge in edges if edge in kept]
+        while pending:
+            found = next((e for e in pending if (e.parent in reached) != (e.child in reached)), None)
+            if found is None:
+                names = [name for name in self.bodies if name not in reached]
+                raise self.root.origin.error("<model>", f"joints do not connect {', '.join(names[:4])} to '{root}'")
+            pending.remove(found)
+            tree.append((found, found.child in reached))
+            reached |= {found.parent, found.child}
+        if lost := [name for name in self.bodies if name not in reached]:
+            raise self.root.origin.error("<model>", f"no joint connects '{lost[0]}' to '{root}': expected one tree")
+        return tree, [edge for edge in edges if edge in cut]
+
+    def _closures(self, cut: list[_Edge]) -> tuple[list[Frame], list[LoopClosure]]:
+        frames, closures = [], []
+        for edge in cut:
+            if edge.kind not in _CLOSURES:
+                self.refuse(edge.element, f"a loop cannot be closed by a {edge.kind} joint")
+                continue
+            names = []
+            for body, end in ((edge.parent, "parent"), (edge.child, "child")):
+                name = free_name(f"{edge.name}_{end}", {*self.bodies, *self.elements})
+                placement = self._placed(self._placement(body).actInv(edge.placement))
+                frames.append(Frame(name, body, placement, edge.origin))
+                names.append(name)
+            kind = _CLOSURES[edge.kind]
+            axis = None if kind in ("6d", "3d") else _triple(edge.axes[0])
+            second = _triple(edge.axes[1]) if kind == "universal" else None
+            closures.append(LoopClosure(names[0], names[1], kind, axis=axis, axis_b=second, origin=edge.origin))
+            reason = f"closes a loop: cut, and read as a closure of type {kind}"
+            self.unread.append(Unread(named(edge.element), edge.origin, reason))
+        return frames, closures
+
+    # Couplings and drives
+
+    def _mimic(self, edge: _Edge, known: set[str]) -> Iterator[Coupling]:
+        mimic = child(child(edge.element, "axis"), "mimic")
+        if mimic is None:
+            return
+        place, leader = f"joint '{edge.name}': mimic", mimic.get("joint", "")
+        scoped = f"{self.scopes[edge.name]}{leader}"
+        if scoped not in known or edge.name not in known:
+            self.refuse(mimic, f"expected an existing joint of the tree, not '{leader}'")
+            return
+        multiplier = self._value(mimic, "multiplier", ANY, place, 1.0)
+        offset = self._value(mimic, "offset", ANY, place, 0.0) - multiplier * self._value(
+            mimic, "reference", ANY, place, 0.0
+        )
+        yield Coupling.from_powers(edge.name, scoped, (offset, multiplier), mimic.origin)
+
+    def _drives(self, model: Element, joints: set[str]) -> Iterator[Drive]:
+        """Yield the joints that a plugin controls."""
+        for plugin in children(model, "plugin"):
+            for entry in children(plugin, "joint_name"):
+                name = (entry.text or "").strip()
+                if name in joints:
+                    yield Drive(name, name, origin=plugin.origin)
+
+
+def _triple(axis: tuple[float, ...]) -> Axis:
+    x, y, z = axis
+    return x, y, z

@@ -1,0 +1,201 @@
+"""SDF files: places as Drake has them, and loops whose mobility is counted by hand."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.description.readers.sdf import read_sdf
+from pm3dof_pin.description.robots import robot_names
+from pm3dof_pin.description.xml_file import read_xml
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.export.formats import export_robot
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.model import build_model
+
+_INERTIAL = (
+    "<inertial><pose>0.1 0.2 0.3 0.1 0 0</pose><mass>2</mass><inertia><ixx>0.2</ixx><iyy>0.3</iyy><izz>0.4</izz>"
+    "</inertia></inertial>"
+)
+CHAIN = f"""<sdf version="1.9"><model name="chain"><link name="base"><pose>0 0 1 0 0 0.3</pose>{_INERTIAL}</link>
+<frame name="mark" attached_to="base"><pose degrees="true">0.1 0 0 30 0 0</pose></frame>
+<link name="a"><pose relative_to="mark">0 0.4 0 0.2 0 0</pose>{_INERTIAL}</link>
+<link name="b"><pose relative_to="a" rotation_format="quat_xyzw">0.3 0 0.1 0 0.6 0 0.8</pose>{_INERTIAL}</link>
+<link name="c"><pose relative_to="j_b">0 0 0.5 0 0 0</pose>{_INERTIAL}</link>
+<joint name="j_a" type="revolute"><parent>base</parent><child>a</child><pose>0 -0.1 0 0 0.1 0</pose>
+ <axis><xyz expressed_in="__model__">0 0.6 0.8</xyz><limit><lower>-1</lower><upper>2</upper><effort>3</effort></limit>
+ <dynamics><damping>0.5</damping><friction>0.25</friction></dynamics></axis></joint>
+<joint name="j_b" type="prismatic"><parent>mark</parent><child>b</child><pose relative_to="b">0 0 0.2 0 0 0</pose>
+ <axis><xyz>0 0 1</xyz></axis></joint>
+<joint name="j_c" type="universal"><parent>b</parent><child>c</child><axis><xyz>1 0 0</xyz></axis>
+ <axis2><xyz>0 1 0</xyz></axis2></joint></model></sdf>"""
+
+_LINKS = "".join(
+    f'<link name="{name}"><pose>{pose}</pose></link>'
+    for name, pose in (
+        ("ground", "0 0 0 0 0 0"),
+        ("crank", "0 0 0 0 0 0"),
+        ("coupler", "0 0.3 0 0 0 0"),
+        ("rocker", "0.4 0 0 0 0 0"),
+    )
+)
+
+
+def _hinge(name: str, parent: str, child: str, pose: str = "", kind: str = "revolute") -> str:
+    return (
+        f'\n<joint name="{name}" type="{kind}"><parent>{parent}</parent><child>{child}</child>{pose}'
+        "<axis><xyz>0 0 1</xyz></axis></joint>"
+    )
+
+
+FOUR_BAR = (
+    f'<sdf version="1.8"><model name="bars">{_LINKS}'
+    + '\n<joint name="anchor" type="fixed"><parent>world</parent><child>ground</child></joint>'
+    + _hinge("j1", "ground", "crank")
+    + _hinge("j2", "crank", "coupler")
+    + _hinge("j3", "ground", "rocker")
+    + _hinge("j4", "rocker", "coupler", "<pose>0.4 0 0 0 0 0</pose>")
+    + "</model></sdf>"
+)
+
+
+def _written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "model.sdf"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_places_and_inertias_are_drakes(tmp_path: Path) -> None:
+    parsing = pytest.importorskip("pydrake.multibody.parsing")
+    plant_module = pytest.importorskip("pydrake.multibody.plant")
+    path = _written(tmp_path, CHAIN)
+    plant = plant_module.MultibodyPlant(1e-3)
+    parsing.Parser(plant).AddModels(str(path))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    model = build_model(read_sdf(read_xml(path)))
+    data = model.createData()
+    values = {"j_a": [0.3], "j_b": [-0.2], "j_c": [0.4, -0.5]}
+    q = np.zeros(model.nq)
+    for name, numbers in values.items():
+        joint = plant.GetJointByName(name)
+        plant.SetPositions(context, _with(plant.GetPositions(context), joint.position_start(), numbers))
+    for name, value in (("j_a", 0.3), ("j_b", -0.2), ("j_c_x", 0.4), ("j_c_y", -0.5)):
+        q[model.joints[model.getJointId(name)].idx_q] = value
+    pin.framesForwardKinematics(model, data, q)
+    for name in ("a", "b", "c", "mark"):
+        found = data.oMf[model.getFrameId(name)]
+        expected = plant.GetFrameByName(name).CalcPoseInWorld(context)
+        np.testing.assert_allclose(found.homogeneous, expected.GetAsMatrix4(), atol=1e-14)
+    masses = plant.CalcMassMatrix(context)
+    order = [
+        plant.GetJointByName(name).velocity_start() + k for name, k in (("j_a", 0), ("j_b", 0), ("j_c", 0), ("j_c", 1))
+    ]
+    computed = pin.crba(model, data, q)
+    names = ("j_a", "j_b", "j_c_x", "j_c_y")
+    own = [model.joints[model.getJointId(name)].idx_v for name in names]
+    computed = np.triu(computed) + np.triu(computed, 1).T
+    np.testing.assert_allclose(computed[np.ix_(own, own)], masses[np.ix_(order, order)], atol=1e-13)
+    assert (model.lowerPositionLimit[own[0]], model.upperEffortLimit[own[0]], model.damping[own[0]]) == (-1.0, 3.0, 0.5)
+
+
+def _with(positions: np.ndarray, start: int, numbers: list[float]) -> np.ndarray:
+    positions = np.array(positions)
+    positions[start : start + len(numbers)] = numbers
+    return positions
+
+
+@pytest.mark.parametrize("kind", ["revolute", "ball", "continuous", "universal"])
+def test_a_four_bar_is_cut_once_and_closed(tmp_path: Path, kind: str) -> None:
+    text = FOUR_BAR.replace('name="j2" type="revolute"', f'name="j2" type="{kind}"')
+    if kind == "universal":  # a second axis across the first
+        text = text.replace(
+            '</axis></joint>\n<joint name="j3"', '</axis><axis2><xyz>1 0 0</xyz></axis2></joint>\n<joint name="j3"'
+        )
+    path = _written(tmp_path, text)
+    robot = Robot.load(path)
+    assert robot.description is not None
+    cut = "j2" if kind in ("ball", "universal") else "j4"
+    assert [str(entry.origin.line) for entry in robot.description.unread] == [
+        str(3 + ["j1", "j2", "j3", "j4"].index(cut))
+    ]
+    assert f"<joint name='{cut}'>: closes a loop: cut" in str(robot.description.unread[0])
+    assert [loop.type for loop in robot.closures] == [{"ball": "3d", "universal": "universal"}.get(kind, "hinge")]
+    assert robot.home.closure_residual < 1e-15
+    assert DegreesOfFreedom(robot.home).count == 1
+    found = robot.assemble(joints={"j1": 0.5})
+    joints = dict(zip(robot.q_names, found.q, strict=True))
+    assert joints["j3"] == pytest.approx(0.5, abs=1e-9), "the rods form a parallelogram"
+
+
+def test_a_joint_against_the_tree_keeps_its_coordinate(tmp_path: Path) -> None:
+    text = FOUR_BAR.replace(
+        "<parent>ground</parent><child>rocker</child>", "<parent>rocker</parent><child>ground</child>"
+    )
+    robot = Robot.load(_written(tmp_path, text.replace('name="j4" type="revolute"', 'name="j4" type="ball"')))
+    found = dict(zip(robot.q_names, robot.assemble(joints={"j1": 0.5}).q, strict=True))
+    assert found["j3"] == pytest.approx(-0.5, abs=1e-9)
+
+
+def test_controllers_say_what_drives_a_loop(tmp_path: Path) -> None:
+    plugin = (
+        '<plugin name="gz::sim::systems::JointPositionController" filename="x"><joint_name>j4</joint_name></plugin>'
+    )
+    robot = Robot.load(_written(tmp_path, FOUR_BAR.replace("</model>", f"{plugin}</model>")))
+    assert robot.actuated_joints == ("j4",)
+    assert robot.description is not None
+    assert "j3" in str(robot.description.unread[0]), "driven joints are not cut"
+
+
+def test_a_joint_that_mimics_follows(tmp_path: Path) -> None:
+    mimic = '<mimic joint="j1"><multiplier>-2</multiplier><offset>0.1</offset><reference>0.2</reference></mimic>'
+    text = FOUR_BAR.replace(_hinge("j4", "rocker", "coupler", "<pose>0.4 0 0 0 0 0</pose>"), "")
+    text = text.replace(
+        _hinge("j3", "ground", "rocker"), _hinge("j3", "ground", "rocker").replace("</axis>", f"{mimic}</axis>")
+    )
+    (coupling,) = Robot.load(_written(tmp_path, text)).couplings
+    assert coupling.value([0.5]) == pytest.approx(-2.0 * (0.5 - 0.2) + 0.1, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_our_own_exports_come_back(tmp_path: Path, name: str) -> None:
+    (path,) = [file for file in export_robot(name, "sdf", tmp_path, meshes=False) if file.suffix == ".sdf"]
+    robot, original = Robot.load(path), Robot.load(name)
+    assert DegreesOfFreedom(robot.home).count == DegreesOfFreedom(original.home).count
+    assert robot.home.closure_residual < 1e-12
+
+
+@pytest.mark.skipif(shutil.which("ign") is None, reason="sdformat's command is not installed")
+@pytest.mark.parametrize("text", [CHAIN, FOUR_BAR], ids=["chain", "four-bar"])
+def test_these_files_are_valid(tmp_path: Path, text: str) -> None:
+    done = subprocess.run(
+        ["ign", "sdf", "--check", str(_written(tmp_path, text))], capture_output=True, text=True, check=False
+    )
+    assert "Valid" in done.stdout, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("<parent>ground</parent>", "<parent>ghost</parent>", r"line 3: <joint name='j1'>: expected an existing frame"),
+        ('type="revolute"', 'type="glue"', r"line 3: joint 'j1': expected one of fixed, .*not 'glue'"),
+        ("<xyz>0 0 1</xyz>", "<xyz>0 0 0</xyz>", "expected a direction"),
+        ("0 0.3 0 0 0 0", "0 0.3 0 0 0", "expected 6 numbers"),
+        ("0 0.3 0 0 0 0", "0 0.3 nan 0 0 0", "not 'nan'"),
+        ('link name="crank"', 'link name="ground"', "defined twice"),
+        ("<model name", "<model name='other'/><model name", "has 2 models, expected one"),
+        ("</model>", "<include><uri>model://x</uri></include></model>", "<include>: is not supported.*lenient"),
+        ("</model>", "<jonit/></model>", "<jonit>: is unknown in <model>, expected <joint>.*lenient"),
+        ("</model>", '<link name="lost"/></model>', "no joint connects 'lost' to 'world'"),
+    ],
+)
+def test_a_damaged_file_is_one_error(tmp_path: Path, old: str, new: str, said: str) -> None:
+    with pytest.raises(DescriptionError, match=said):
+        Robot.load(_written(tmp_path, FOUR_BAR.replace(old, new, 1)))
