@@ -23,6 +23,7 @@ from pm3dof_pin.typing import Array, Mask
 _LOG = logging.getLogger(__name__)
 
 _STEPS_AT_ONCE = 32  # of walks, before those that have ended are set aside
+_ALIGNED = 64  # bytes
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, do not justify a thread
 
 MANY_POSES = 20_000
@@ -141,7 +142,7 @@ class Compiled:
             self._engines[-1].add_object_file(binding.ObjectFileRef.from_data(code))
             self._engines[-1].finalize_object()
             pointer, size = ctypes.c_void_p, ctypes.c_int64
-            common = (pointer, size, pointer, pointer, size, size)
+            common = (pointer, pointer, size, pointer, pointer, size, size)
             number = ctypes.c_double
             steps = (*common, number, size)
             functions = {"evaluate": self._function("evaluate", *common)}
@@ -153,6 +154,7 @@ class Compiled:
                 functions["start"] = self._function("start", *common)
                 functions["walk"] = self._function("walk", *steps)
             self._functions = functions
+            self._workspace_size = int(self._function("workspace_size", result=size)())
         except (RuntimeError, OSError) as error:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
 
@@ -165,11 +167,11 @@ class Compiled:
         )
         return outputs[:, :-1], sound
 
-    def _function(self, name: str, *arguments: Any) -> Callable[..., None]:
+    def _function(self, name: str, *arguments: Any, result: Any = None) -> Callable[..., Any]:
         address = self._engines[-1].get_function_address(name)
         if not address:
             raise RuntimeError(f"no function '{name}'")
-        return ctypes.CFUNCTYPE(None, *arguments)(address)
+        return ctypes.CFUNCTYPE(result, *arguments)(address)
 
     def __call__(
         self,
@@ -355,7 +357,9 @@ class Compiled:
         first_input, table, first_output = _address(rows), _address(shared), _address(outputs)
 
         def part(start: int, stop: int) -> None:
+            room = np.empty(self._workspace_size + _ALIGNED // 8) if self._workspace_size else shared
             function(
+                -(-_address(room) // _ALIGNED) * _ALIGNED,
                 first_input + start * 8 * strides[0],
                 strides[0],
                 table,

@@ -6,7 +6,7 @@ The loops go over blocks of poses, over steps, along lines of a grid, and over t
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.vector_ir import VectorText
@@ -15,9 +15,12 @@ from pm3dof_pin.programs.walk import Walk, acceptance_program
 HISTORY = 3
 """Number of poses before the last one that a march uses to predict the next."""
 
+STAGE = 4000
+"""Greatest number of operations in a function."""
+
 # arguments of the functions
-_ROWS = "ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %outputs, i64 %outputs_stride, i64 %n"
-_LINES = "ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %given, i64 %given_stride, i64 %n"
+_ROWS = "ptr %workspace, ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %outputs, i64 %outputs_stride, i64 %n"
+_LINES = "ptr %workspace, ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %given, i64 %given_stride, i64 %n"
 _STEPS = "double %tolerance, i64 %most"
 _MARCH = "i64 %inputs_step, i64 %given_step, i64 %known, i64 %count, ptr %shares, double %mode"
 
@@ -26,11 +29,11 @@ def module(program: Program | Walk, lanes: int, opaque_pointers: bool, fused: bo
     """Return the text of a module with the functions `evaluate` and, if the program permits, `iterate` and `march`.
 
     Those of a walk are the functions of its step. The first two take
-    ``(inputs, stride, parameters, outputs, stride, n)``: rows of doubles, strides in doubles, counts and strides as
-    64-bit integers. `iterate` also takes a tolerance and the maximum number of steps; its rows of
-    outputs are the last state, the residual at the start of the last step, and the number of steps. With a walk,
-    `start` is as `evaluate`; `walk` is as `iterate`, with the walk's whole state as inputs, and the status as residual.
-    For `march` see :meth:`pm3dof_pin.programs.llvm.Compiled.march`.
+    ``(workspace, inputs, stride, parameters, outputs, stride, n)``: aligned room for `workspace_size` doubles, rows of
+    doubles, strides in doubles, counts and strides as 64-bit integers. `iterate` also takes a tolerance and the maximum
+    number of steps; its rows of outputs are the last state, the residual at the start of the last step, and the number
+    of steps. With a walk, `start` is as `evaluate`; `walk` is as `iterate`, with the walk's whole state as inputs, and
+    the status as residual. For `march` see :meth:`pm3dof_pin.programs.llvm.Compiled.march`.
 
     Args:
         program: the program, or a walk.
@@ -42,36 +45,43 @@ def module(program: Program | Walk, lanes: int, opaque_pointers: bool, fused: bo
     walk = program if isinstance(program, Walk) else None
     program = program.step if isinstance(program, Walk) else program
     text = _Module(lanes, opaque_pointers, fused)
-    line = _Line(text, "step", program)
+    lines = [line := _Line(text, "step", program)]
     text.evaluate("evaluate", line)
     if program.can_iterate:
         text.iterate("iterate", [line], len(program.inputs), program.state_size)
     if program.can_march:
-        text.march(line, _Line(text, "accept", acceptance_program()))
+        lines.append(_Line(text, "accept", acceptance_program()))
+        text.march(line, lines[-1])
     if walk is not None:
-        text.evaluate("start", _Line(text, "start", walk.start))
-        text.iterate("walk", [line, _Line(text, "control", walk.control)], len(walk.start.results), walk.status)
+        lines += (_Line(text, name, each) for name, each in (("start", walk.start), ("control", walk.control)))
+        text.evaluate("start", lines[-2])
+        text.iterate("walk", [line, lines[-1]], len(walk.start.results), walk.status)
     text.copies()
+    size = lanes * max(line.workspace for line in lines)
+    text.lines.append(f"define dso_local i64 @workspace_size() #0 {{\n  ret i64 {size}\n}}")
     return "\n".join([*text.lines, f"attributes #0 = {{ nounwind {attributes} }}", ""])
 
 
 class _Line:
-    """A program as two functions: one fills a table of values shared by all poses, one is the straight line."""
+    """A program as two functions: one fills a table of values shared by all poses, one is the straight line.
+
+    Long ones are cut into stages, functions of their own: the frame of a function has room for all its values that do
+    not fit into registers, and the time that LLVM takes grows faster than its length. Values that outlive a stage are
+    kept in a workspace.
+    """
 
     def __init__(self, text: VectorText, name: str, program: Program) -> None:
         self._text = text
-        self.name = name
-        self.program = program
-        self._is_per_pose = self._per_pose()
+        self.name, self.program = name, program
+        self.workspace = 0  #: vectors in the workspace
+        self._differs = self._differing()
         self.shared = self._shared()
-        self.products = self._products() if text.fused else {}
-        self._fused_products = frozenset(self.products.values())
+        self._products = self._fusible() if text.fused else {}
+        self._fused = frozenset(self._products.values())
         self._prepare()
         self._straight_line()
 
-    # values computed for each pose, and values shared by all
-
-    def _per_pose(self) -> list[bool]:
+    def _differing(self) -> list[bool]:
         """Return for each value whether it differs between poses."""
         differs = [number < len(self.program.inputs) for number in range(self.program.first_line)]
         for _, operands in self.program.lines:
@@ -83,15 +93,15 @@ class _Line:
         first_constant = len(self.program.inputs) + len(self.program.parameters)
         used = list(self.program.results)
         for number, (_, operands) in enumerate(self.program.lines, start=self.program.first_line):
-            if self._is_per_pose[number]:
+            if self._differs[number]:
                 used.extend(operands)
         places: dict[int, int] = {}
         for number in used:
-            if not self._is_per_pose[number] and not first_constant <= number < self.program.first_line:
+            if not self._differs[number] and not first_constant <= number < self.program.first_line:
                 places.setdefault(number, len(places))
         return places
 
-    def _products(self) -> dict[int, int]:
+    def _fusible(self) -> dict[int, int]:
         """Return the product of each sum or difference that can be fused with one, by number."""
         first, lines = self.program.first_line, self.program.lines
         uses = Counter(self.program.results)
@@ -102,109 +112,139 @@ class _Line:
             if operation in ("add", "subtract"):
                 for operand in operands:
                     is_product = operand >= first and lines[operand - first][0] == "multiply"
-                    if is_product and uses[operand] == 1 and self._is_per_pose[operand] == self._is_per_pose[number]:
+                    if is_product and uses[operand] == 1 and self._differs[operand] == self._differs[number]:
                         products[number] = operand
                         break
         return products
 
-    def _straight(self, numbers: Iterable[int], value: Callable[[int], str], keep: Callable[[int, str], None]) -> None:
-        """Emit the lines of ascending numbers; `value` returns the name of each, `keep` is called for each result."""
-        text = self._text
-        angles: dict[int, tuple[str, str]] = {}
-        for number in numbers:
-            if number in self._fused_products:
-                continue
-            operation, operands = self.program.lines[number - self.program.first_line]
-            if number in self.products:
-                name = self._sum_with_product(operation, operands, self.products[number], value)
-            elif operation in ("sin", "cos"):
-                if operands[0] not in angles:
-                    angles[operands[0]] = text.sine_and_cosine(value(operands[0]))
-                name = angles[operands[0]][operation == "cos"]
-            else:
-                name = text.operation(operation, [value(operand) for operand in operands])
-            keep(number, name)
-
-    def _sum_with_product(
-        self, operation: str, operands: tuple[int, ...], product: int, value: Callable[[int], str]
-    ) -> str:
-        """Emit a sum or difference with a product as one fused operation."""
-        text = self._text
-        x, y = map(value, self.program.lines[product - self.program.first_line][1])
-        if operands[0] == product:
-            other = value(operands[1])
-            return text.multiply_add(x, y, other if operation == "add" else text.negative(other))
-        return text.multiply_add(x if operation == "add" else text.negative(x), y, value(operands[0]))
-
     def _prepare(self) -> None:
         """Emit the function that fills the table of shared values."""
-        text = self._text
-        program, first = self.program, len(self.program.inputs)
-        first_constant = first + len(program.parameters)
-        text.begin(f"prepare_{self.name}", f"{text.pointer} noalias %parameters, {text.pointer} noalias %shared")
-        names: dict[int, str] = {}
+        text, first = self._text, len(self.program.inputs)
 
-        def value(number: int) -> str:
-            if number not in names:
-                constant = number >= first_constant
-                names[number] = (
-                    text.splat(program.constants[number - first_constant])
-                    if constant
-                    else text.spread(text.load("%parameters", number - first))
-                )
-            return names[number]
+        def leaf(number: int) -> str:
+            return self._constant(number) or text.spread(text.load("%parameters", number - first))
 
-        everything = range(program.first_line, program.first_line + len(program.lines))
-        self._straight(
-            (number for number in everything if not self._is_per_pose[number]),
-            value,
-            lambda number, name: names.update({number: name}),
-        )
-        for number, place in self.shared.items():
-            name = value(number)
-            if self._is_condition(number):
-                name = text.select(name, text.splat(1.0), text.splat(0.0))
-            scalar = text.emit(f"extractelement {text.vector} {name}, i32 0")
-            text.store(scalar, "%shared", place)
-        text.end()
+        def store(name: str, place: int) -> None:
+            text.store(text.emit(f"extractelement {text.vector} {name}, i32 0"), "%shared", place)
 
-    def _is_condition(self, number: int) -> bool:
-        """Return whether a value is a boolean."""
-        line = number - self.program.first_line
-        return line >= 0 and self.program.lines[line][0] in ("less", "and", "or", "not")
+        columns = {number: [place] for number, place in self.shared.items()}
+        self._function(f"prepare_{self.name}", ("parameters", "shared"), False, leaf, columns, store)
 
     def _straight_line(self) -> None:
         """Emit the function that computes a block of poses, one value of all lanes at a time."""
-        text = self._text
-        program, lanes = self.program, text.lanes
-        first_constant = len(program.inputs) + len(program.parameters)
-        pointers = (f"{text.pointer} noalias %{name}" for name in ("inputs", "shared", "outputs"))
-        text.begin(f"line_{self.name}", ", ".join(pointers))
-        names: dict[int, str] = {}
+        text, lanes = self._text, self._text.lanes
         columns: dict[int, list[int]] = {}
-        for column, number in enumerate(program.results):
+        for column, number in enumerate(self.program.results):
             columns.setdefault(number, []).append(column)
 
-        def value(number: int) -> str:
-            if number in names:
-                return names[number]
+        def leaf(number: int) -> str:
             if number in self.shared:
-                vector = text.spread(text.load("%shared", self.shared[number]))
-                return text.compare("une", vector, text.splat(0.0)) if self._is_condition(number) else vector
-            if number < len(program.inputs):
-                return text.load_vector("%inputs", lanes * number, 8 * lanes)
-            return text.splat(program.constants[number - first_constant])
+                return self._as_condition(number, text.spread(text.load("%shared", self.shared[number])))
+            return self._constant(number) or text.load_vector("%inputs", lanes * number, 8 * lanes)
 
-        def keep(number: int, name: str) -> None:
-            names[number] = name
-            for column in columns.pop(number, ()):
-                text.store_vector(name, "%outputs", lanes * column, 8 * lanes)
+        def store(name: str, column: int) -> None:
+            text.store_vector(name, "%outputs", lanes * column, 8 * lanes)
 
-        everything = range(program.first_line, program.first_line + len(program.lines))
-        self._straight((number for number in everything if self._is_per_pose[number]), value, keep)
-        for number in tuple(columns):
-            keep(number, value(number))
-        text.end()
+        self._function(f"line_{self.name}", ("inputs", "shared", "outputs"), True, leaf, columns, store)
+
+    def _function(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        differs: bool,
+        leaf: Callable[[int], str],
+        columns: Mapping[int, Sequence[int]],
+        store: Callable[[str, int], None],
+    ) -> None:
+        """Emit a function of the lines that differ between poses, or of the others.
+
+        `leaf` returns a value that is not one of them, `store` writes one to a column.
+        """
+        text, first, width = self._text, self.program.first_line, self._text.lanes
+        everything = range(first, first + len(self.program.lines))
+        lines = [number for number in everything if self._differs[number] == differs and number not in self._fused]
+        stages = [lines[k : k + STAGE] for k in range(0, len(lines), STAGE)] or [[]]
+        last = {operand: k for k, stage in enumerate(stages) for number in stage for operand in self._operands(number)}
+        pointers = ", ".join(f"{text.pointer} noalias %{argument}" for argument in (*arguments, "workspace"))
+        slots: dict[int, int] = {}
+        free: list[int] = []
+        for k, stage in enumerate(stages):
+            text.begin(f"{name}_{k}" if len(stages) > 1 else name, pointers)
+            names: dict[int, str] = {}
+            angles: dict[int, tuple[str, str]] = {}
+
+            def value(number: int, names: Mapping[int, str] = names) -> str:
+                if number in names:
+                    return names[number]
+                if number in slots:
+                    kept = text.load_vector("%workspace", width * slots[number], 8 * width)
+                    return self._as_condition(number, kept)
+                return leaf(number)
+
+            for number in stage:
+                names[number] = self._emitted(number, value, angles)
+                for column in columns.get(number, ()):
+                    store(self._as_number(number, names[number]), column)
+                if last.get(number, k) > k:
+                    slots[number] = free.pop() if free else len(slots)
+                    kept = self._as_number(number, names[number])
+                    text.store_vector(kept, "%workspace", width * slots[number], 8 * width)
+            self.workspace = max(self.workspace, len(slots) + len(free))
+            for number in [number for number in slots if last[number] == k]:
+                free.append(slots.pop(number))
+            if k == len(stages) - 1:
+                for number, places in columns.items():
+                    for column in places if not (number >= first and self._differs[number] == differs) else ():
+                        store(leaf(number), column)
+            text.end()
+        if len(stages) > 1:
+            text.begin(name, pointers)
+            for k in range(len(stages)):
+                text.do(f"call void @{name}_{k}({pointers.replace(' noalias', '')})")
+            text.end()
+
+    def _operands(self, number: int) -> tuple[int, ...]:
+        """Return the operands of a line, including those of a product that is fused into it."""
+        lines, first = self.program.lines, self.program.first_line
+        operands = lines[number - first][1]
+        product = self._products.get(number)
+        return operands if product is None else (*operands, *lines[product - first][1])
+
+    def _emitted(self, number: int, value: Callable[[int], str], angles: dict[int, tuple[str, str]]) -> str:
+        """Emit a line."""
+        text = self._text
+        operation, operands = self.program.lines[number - self.program.first_line]
+        if number in self._products:
+            product = self._products[number]
+            x, y = map(value, self.program.lines[product - self.program.first_line][1])
+            if operands[0] == product:
+                other = value(operands[1])
+                return text.multiply_add(x, y, other if operation == "add" else text.negative(other))
+            return text.multiply_add(x if operation == "add" else text.negative(x), y, value(operands[0]))
+        if operation in ("sin", "cos"):
+            if operands[0] not in angles:
+                angles[operands[0]] = text.sine_and_cosine(value(operands[0]))
+            return angles[operands[0]][operation == "cos"]
+        return text.operation(operation, [value(operand) for operand in operands])
+
+    def _constant(self, number: int) -> str:
+        """Return a constant, or nothing if the value is none."""
+        first = len(self.program.inputs) + len(self.program.parameters)
+        is_constant = first <= number < self.program.first_line
+        return self._text.splat(self.program.constants[number - first]) if is_constant else ""
+
+    def _is_condition(self, number: int) -> bool:
+        line = number - self.program.first_line
+        return line >= 0 and self.program.lines[line][0] in ("less", "and", "or", "not")
+
+    def _as_number(self, number: int, name: str) -> str:
+        """Return a value as it is stored."""
+        text = self._text
+        return text.select(name, text.splat(1.0), text.splat(0.0)) if self._is_condition(number) else name
+
+    def _as_condition(self, number: int, name: str) -> str:
+        """Return a stored value."""
+        return self._text.compare("une", name, self._text.splat(0.0)) if self._is_condition(number) else name
 
 
 class _Module(VectorText):
@@ -348,7 +388,7 @@ class _Module(VectorText):
             self.do(f"%{buffer} = bitcast {typed} {array} to {p}")
         self.do(f"%block_inputs = getelementptr double, {p} %results, i64 {before * self.lanes}")
         for line in lines:
-            self.do(f"call void @prepare_{line.name}({p} %parameters, {p} %shared_{line.name})")
+            self.do(f"call void @prepare_{line.name}({p} %parameters, {p} %shared_{line.name}, {p} %workspace)")
         self.do("%last = sub i64 %n, 1")
 
     def begin_blocks(self, latch: str) -> None:
@@ -367,7 +407,7 @@ class _Module(VectorText):
 
     def call_line(self, line: _Line, inputs: str = "%block_inputs", outputs: str = "%block_outputs") -> None:
         p = self.pointer
-        self.do(f"call void @line_{line.name}({p} {inputs}, {p} %shared_{line.name}, {p} {outputs})")
+        self.do(f"call void @line_{line.name}({p} {inputs}, {p} %shared_{line.name}, {p} {outputs}, {p} %workspace)")
 
     def transpose(self, rows: list[str]) -> list[str]:
         step = 1

@@ -6,13 +6,14 @@ import ctypes
 import json
 import shutil
 import subprocess
+import threading
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pm3dof_pin.programs import llvm
+from pm3dof_pin.programs import llvm, llvm_ir
 from pm3dof_pin.programs.c import c99
 from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, less, maximum, minimum, select, sin, sqrt
 from pm3dof_pin.programs.javascript import javascript
@@ -119,6 +120,37 @@ def test_machine_code(program, n, seed):
     outputs = llvm.compile(program, careful=False)(inputs, parameters)
     assert_agree(outputs, program, inputs, parameters)
     assert np.array_equal(llvm.compile(program)(inputs, parameters), outputs, equal_nan=True)
+
+
+def test_stages_compute_the_same_bits(many_programs, monkeypatch):
+    """Values of all kinds outlive a stage of three operations."""
+    inputs, parameters = numbers(8, 25)
+    whole = [llvm.compile(program, careful=False)(inputs, parameters) for program in many_programs]
+    monkeypatch.setattr(llvm_ir, "STAGE", 3)
+    staged = [llvm.compile(program, careful=False) for program in many_programs]
+    for compiled, expected in zip(staged, whole, strict=True):
+        assert np.array_equal(compiled(inputs, parameters), expected, equal_nan=True)
+    assert sum(compiled._workspace_size > 0 for compiled in staged) > 30
+
+
+def test_a_long_program_needs_little_of_the_stack():
+    """Twelve thousand numbers, of which all are still needed when the last is known, and half a megabyte of stack."""
+    graph = Graph()
+    x = graph.input("x", [0.5])
+    values = [x * (0.5 + k) + 1.0 / (1 + k) for k in range(12_000)]
+    whole = values[-1]
+    for value in reversed(values[:-1]):
+        whole = whole * value * 1e-4
+    program = graph.program("long", {"values": [whole, sum(values)]})
+    compiled, results = llvm.compile(program, careful=False), []
+    before = threading.stack_size(2**19)
+    try:
+        thread = threading.Thread(target=lambda: results.append(compiled([[0.25], [1e-3]], threads=1)))
+        thread.start()
+        thread.join()
+    finally:
+        threading.stack_size(before)
+    np.testing.assert_allclose(results[0], program.evaluate([[0.25], [1e-3]]), rtol=1e-9)
 
 
 @pytest.fixture(scope="module")
