@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix
-from pm3dof_pin.dynamics.modes import NO_MASS, natural_modes
+from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
@@ -18,6 +18,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.tolerances import MASSLESS
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 _PROGRAM_FROM = 1000  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
@@ -143,7 +144,7 @@ def _frequencies(inverse_squares: NDArray[Any], count: int) -> Matrix:
     """Return frequencies from descending 1 / omega^2, shape=(n, count) [Hz]."""
     found = np.full((len(inverse_squares), count), np.nan)
     first = inverse_squares[:, :count]
-    has_mass = first > NO_MASS * inverse_squares[:, :1]
+    has_mass = first > MASSLESS * inverse_squares[:, :1]
     with np.errstate(divide="ignore", invalid="ignore"):
         found[:, : first.shape[1]] = np.where(has_mass, 1.0 / (2.0 * np.pi * np.sqrt(first)), np.nan)
     return found

@@ -17,9 +17,8 @@ from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads, weight_scale
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Matrix, Vector
-
-_CONSISTENT = 1e-9
 
 
 class _JointMotion(NamedTuple):
@@ -138,6 +137,6 @@ def _reached(argument: str, given: Restriction, numbers: Vector, start: Vector, 
     missing = numbers - given.rows @ start
     motion: Vector = start + given.inverse @ missing
     left = np.linalg.norm(numbers - given.rows @ motion)
-    if left > _CONSISTENT * (np.linalg.norm(numbers) + np.linalg.norm(given.rows @ start)):
+    if left > SOLVED * (np.linalg.norm(numbers) + np.linalg.norm(given.rows @ start)):
         raise InvalidValueError(argument, listed(units * numbers), "values that the loops permit")
     return motion

@@ -23,10 +23,8 @@ from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
+from pm3dof_pin.tolerances import MASSLESS
 from pm3dof_pin.typing import Matrix, Vector
-
-NO_MASS = 1e-13
-"""Motions of less 1 / omega^2 than this, relative to the greatest, are massless."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +76,7 @@ def natural_modes(
     motions = elastic_motions(model, elastic)
     mass = mass_matrix(elastic, payloads=payloads)
     inverse_squares, shapes = _vibrations(motions.elastic, motions.unstrained, mass)
-    kept = inverse_squares > NO_MASS * inverse_squares.max(initial=0.0)
+    kept = inverse_squares > MASSLESS * inverse_squares.max(initial=0.0)
     chosen = np.flatnonzero(kept)[::-1][:count]
     shapes = _with_definite_sign(shapes[:, chosen] / np.sqrt(inverse_squares[chosen]), elastic)
     return Modes(

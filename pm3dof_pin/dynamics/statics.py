@@ -13,10 +13,8 @@ from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.singularity import singularities
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads, weight_scale
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Vector
-
-_BALANCE = 1e-9
-"""Equilibrium tolerance: load on motions held by no actuator, relative to the total."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +94,7 @@ def balance(configuration: Configuration, load: Vector, *, reference: float) -> 
     mechanism = configuration.mechanism
     dof = DegreesOfFreedom(configuration)
     scaled = dof.scale * load
-    rounding = _BALANCE * (reference + float(np.linalg.norm(scaled)))
+    rounding = SOLVED * (reference + float(np.linalg.norm(scaled)))
     idle = dof.idle.motions if mechanism.tool_frame is not None else dof.at_actuators.motions[:, :0]
     idle_load = idle @ (idle.T @ scaled)
     scaled = scaled - idle_load

@@ -18,12 +18,12 @@ from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
 from pm3dof_pin.exceptions import ConvergenceError, DeflectionRangeError, InvalidValueError, SingularConfigurationError
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Vector
 
 _log = logging.getLogger(__name__)
 
 _REACH = 10.0
-_ROUNDING = 1e-9  # less softening, relative to the loads' greatest stiffness, is rounding
 _MOST_POINTS = 1000
 _AT_BIFURCATION = 1e-6  # least eigenvalue at a bifurcation point
 _TYPICAL_MOTION = 0.1  # rad, or characteristic lengths
@@ -157,7 +157,7 @@ def _scales(state: LoadedState, loads: AppliedLoads) -> tuple[float, float, floa
     softening = float(values.max(initial=0.0))
     motion = float(np.abs(moved / model.mechanism.velocity_scale).max(initial=0.0))
     return (
-        1.0 / softening if softening > _ROUNDING * largest else np.inf,
+        1.0 / softening if softening > SOLVED * largest else np.inf,
         1.0 / largest if largest > 0.0 else np.inf,
         _TYPICAL_MOTION / motion if motion > 0.0 else np.inf,
     )

@@ -14,12 +14,10 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import MOTIONS, Array, Motion
 
 OtherMotions = Literal["free", "held"]
-
-RIGID = 1e-12
-"""Directions of less compliance than this, relative to the greatest of the same kind, are rigid."""
 
 _BLOCKS = {"translation": slice(0, 3), "rotation": slice(3, 6)}
 
@@ -54,7 +52,7 @@ def axis_stiffness(compliances: ArrayLike) -> Array:
     diagonal = np.asarray(compliances, dtype=float)
     softest = np.repeat(diagonal.reshape(*diagonal.shape[:-1], 2, 3).max(axis=-1), 3, axis=-1)
     with np.errstate(divide="ignore"):
-        return np.where(diagonal <= RIGID * softest, np.inf, 1.0 / diagonal)
+        return np.where(diagonal <= ROUNDING * softest, np.inf, 1.0 / diagonal)
 
 
 def principal_axes(matrix: ArrayLike) -> Ellipsoid:

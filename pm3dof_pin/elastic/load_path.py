@@ -26,25 +26,23 @@ from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
 from pm3dof_pin.exceptions import ConvergenceError, DeflectionRangeError
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.tolerances import ROUNDING, SOLVED
 from pm3dof_pin.typing import Matrix, Vector
 
 FIRST_STEP = 0.2
 """Length of the first step along a path, in scaled measures."""
 
 _CORRECTIONS = 12
-_SINGULAR = 1e-9
 _BRANCHING = 1e-6  # smaller singular values leave more than one direction
 _SHARPEST_TURN = 0.9  # least cosine of the angle between the directions at two points
 _GREATEST_DRIFT = 0.5  # total corrections, relative to the step
 _LONGEST_MOTION = 0.3  # rad, or characteristic lengths
 _SHORTEST_STEP = 1e-6
 _MEETING = 1e-5  # longest step assumed to cross a bifurcation
-_PUSHED = 1e-9
 _NEARLY_SINGULAR = 1e2  # times the rank threshold
 _AT_RANGE = 0.02  # longest step assumed to leave the springs' range
 _GROWTH = 2.0
 _MOST_POINTS = 1000
-_CRITICAL = 1e-12
 _BRACKETINGS = 60
 _MOST_FALLING = 500
 _LONGEST_FALL = 0.1  # rad, or characteristic lengths
@@ -152,7 +150,7 @@ class LoadPath:
         """
         rest = LoadedState(self._model, self.rest, self._applied(0.0), self.rest)
         pushed = rest.motions.unstrained.T @ self.growing.forces(self.rest)
-        if np.abs(pushed).max(initial=0.0) > _PUSHED * self.growing.size:
+        if np.abs(pushed).max(initial=0.0) > SOLVED * self.growing.size:
             return self.equilibrium(1.0, self.rest)  # motions without springs have no equilibrium without loads
         try:
             point = self.follow(self.begin(rest, 1.0), 1.0)
@@ -271,7 +269,7 @@ class LoadPath:
 
         best = min(near, far, key=lambda point: abs(value(point)))
         for _ in range(_BRACKETINGS):
-            if abs(value(best)) <= _CRITICAL or width <= _CRITICAL:
+            if abs(value(best)) <= ROUNDING or width <= ROUNDING:
                 break
             fraction = float(np.clip(value(near) / (value(near) - value(far)), 0.05, 0.95))
             found = self.point_at(near, fraction * width) or self.point_at(near, 0.5 * fraction * width)
@@ -369,7 +367,7 @@ class LoadPath:
         equations = self._equations(state)
         if factor_fixed:
             equations[:, -1] = 0.0
-        solved = np.linalg.lstsq(equations, -state.bearing_residual, rcond=_SINGULAR)[0]
+        solved = np.linalg.lstsq(equations, -state.bearing_residual, rcond=SOLVED)[0]
         return np.asarray(solved, dtype=np.float64)
 
     def _direction(self, state: LoadedState, before: Vector) -> Vector:

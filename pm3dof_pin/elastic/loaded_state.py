@@ -13,12 +13,12 @@ from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, JointSpring
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Indices, Matrix, Vector
 
 _CLOSED = 1e-11  # closure residual of an equilibrium [characteristic lengths, or rad]
 _EQUILIBRIUM = 1e-10  # imbalance, relative to the loads
 _LARGEST_BEND = 1.0  # rotation of one spring that represents a body, for small-deflection stiffness [rad]
-_IDLE = 1e-9  # stiffness of a motion with the springs at rest, relative to the loads or the greatest stiffness
 _SYMMETRY = 1e-6
 _MOST_STEPS = 60  # Newton steps
 _CLOSING_STEPS = 20
@@ -226,7 +226,7 @@ class LoadedState:
         whole = self.basis.T @ self.hessian @ self.basis
         both = np.vstack([whole[:, springs:], whole[springs:].T])
         values, right = np.linalg.svd(both)[1:] if both.size else (np.zeros(0), np.eye(count - springs))
-        rank = int(np.count_nonzero(values > _IDLE * max(1.0, np.abs(whole).max())))
+        rank = int(np.count_nonzero(values > SOLVED * max(1.0, np.abs(whole).max())))
         bearing, idle = np.zeros((count, springs + rank)), np.zeros((count, count - springs - rank))
         bearing[:springs, :springs] = np.eye(springs)
         bearing[springs:, springs:] = right[:rank].T

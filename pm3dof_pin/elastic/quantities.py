@@ -23,6 +23,7 @@ from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.programs.elimination import total, zeros
 from pm3dof_pin.programs.graph import is_zero, less, select, sqrt
 from pm3dof_pin.programs.singular_values import squared_singular_values
+from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Matrix, Objects, Vector
 
 
@@ -62,7 +63,7 @@ def _principal(roots: Roots) -> Objects:
     result = zeros(2, 3)
     for block in range(2):
         squares = squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
-        rigid = squares[-1] * indices.RIGID
+        rigid = squares[-1] * ROUNDING
         result[block] = [1.0 / select(less(rigid, s), s, 0.0) for s in reversed(squares)]
     return result
 
@@ -98,7 +99,7 @@ def _principal_stiffnesses(block: Matrix) -> Vector:
         return indices.principal_axes(stiffness).values
     values = np.linalg.eigvalsh(block)[::-1]
     with np.errstate(divide="ignore"):
-        return np.where(values > indices.RIGID * values[0], 1.0 / values, np.inf)
+        return np.where(values > ROUNDING * values[0], 1.0 / values, np.inf)
 
 
 def _computed_conditioning(report: CartesianCompliance) -> Array:

@@ -31,15 +31,13 @@ from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.physical_bounds import STIFFNESS
 from pm3dof_pin.description.schema import Length, Name, PositiveLength, Schema, Stiffness, checked
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.tolerances import ROUNDING, SOLVED
 from pm3dof_pin.typing import Matrix
 
 JointSpringUnit = Literal["N/m", "N m/rad"]
 
 MOST_ELEMENTS = 100
 """Largest number of elements of one cantilever."""
-
-_SYMMETRY = 1e-9
-_DEFINITENESS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -268,9 +266,9 @@ def _positive_definite(name: str, matrix: ArrayLike, sizes: tuple[int, ...]) -> 
         raise InvalidValueError(name, array.tolist(), expected)
     scale = np.sqrt(diagonal)
     scaled = array / np.outer(scale, scale)
-    if np.abs(scaled - scaled.T).max() > _SYMMETRY:
+    if np.abs(scaled - scaled.T).max() > SOLVED:
         raise InvalidValueError(name, array.tolist(), "a symmetric matrix")
-    if np.linalg.eigvalsh(scaled)[0] < _DEFINITENESS:
+    if np.linalg.eigvalsh(scaled)[0] < ROUNDING:
         raise InvalidValueError(name, array.tolist(), "a positive definite matrix")
     symmetric: Matrix = 0.5 * (array + array.T)
     symmetric.setflags(write=False)

@@ -28,6 +28,7 @@ from pm3dof_pin.elastic.springs import (
 )
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Indices
 
 _JOINT_MODELS = {
@@ -47,7 +48,6 @@ _VELOCITY_CONSTANTS = (
     *("lowerEffortLimit", "upperEffortLimit", "lowerVelocityLimit", "upperVelocityLimit"),
     *("lowerDryFrictionLimit", "upperDryFrictionLimit", "damping", "armature", "rotorInertia", "rotorGearRatio"),
 )
-_NO_MASS = 1e-12
 _RAYLEIGH = 33.0 / 140.0  # of a uniform cantilever's mass, moves with its tip in its first mode
 
 
@@ -281,7 +281,7 @@ class _Builder:
             if frame.type == pin.FrameType.BODY and above is not None:
                 links.setdefault(piece.body, piece)
         for body in range(1, self._old.njoints):
-            if rest[body].mass > _NO_MASS:
+            if rest[body].mass > ROUNDING:
                 piece = links.get(body, self._bodies[body])
                 piece.inertia = piece.inertia + rest[body]
 

@@ -15,15 +15,12 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.tolerances import ROUNDING, SOLVED
 from pm3dof_pin.typing import Array, Mask, OnFailure
-
-CONTROL_TOLERANCE = 1e-9
-"""Singular values of the tool's motions by the commands, relative to the greatest, below this are treated as zero."""
 
 _SOUND = 1e6  # greatest condition number of the normal equations, the square of the control matrix's
 _STEPS = 3  # each reduces the error about a thousandfold
 _SHORTER = (0.25, 0.25, 0.25, 0.0)  # factors tried in turn on a step that increases the error
-_ROUNDING = 1e-12  # [m]
 _FARTHEST_TURN = np.pi  # of a drive in one step [rad]: derivatives are meaningless beyond half a turn
 
 
@@ -55,7 +52,7 @@ def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_
     weighted = np.asarray(differences, dtype=float) * weights
     change, sound = _normal_solution(control, weighted)
     if not sound.all():
-        inverse = np.linalg.pinv(control[~sound], rcond=CONTROL_TOLERANCE)
+        inverse = np.linalg.pinv(control[~sound], rcond=SOLVED)
         change[~sound] = np.einsum("nij,nj->ni", inverse, weighted[~sound])
     return -change
 
@@ -124,7 +121,7 @@ def descend(
             q[rows] = np.where(reached.solved[:, None], reached.q, poses.q[rows])
             trial = reached if len(rows) == len(q) and closed.all() else poses.robot.at(q)
             found = np.where(closed, np.linalg.norm(residuals(trial), axis=1), np.inf)
-            rows = np.flatnonzero(found > left + _ROUNDING)
+            rows = np.flatnonzero(found > left + ROUNDING)
             if not rows.size:
                 break
         poses, left, deviations = trial, np.where(closed, found, left), deviations + move

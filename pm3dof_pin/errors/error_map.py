@@ -23,9 +23,8 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array
-
-_ROUNDING = 1e-10  # remaining fraction of an effect that is treated as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +61,7 @@ class ErrorMap(ToolErrors):
         left = self._used @ -self._compensable
         left += self.weighted
         sizes, whole = (np.einsum("nik,nik->nk", columns, columns) for columns in (left, self.weighted))
-        left *= (sizes > _ROUNDING**2 * whole)[:, None]
+        left *= (sizes > SOLVED**2 * whole)[:, None]
         return frozen(left)
 
     @cached_property

@@ -27,6 +27,7 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Matrix
 
 LEAST_EFFECT = 3e-4
@@ -36,7 +37,6 @@ _CLOSING = 20  # number of poses at which the loops must close
 _LEAST_POSES = 60
 _DISTINCT = (0.1, 1e-2, 1e-3, 1e-8)  # independent fraction of an effect: more distinct ones go first
 _ALIGNED = 0.99
-_NOTHING = 1e-10  # fraction of the greatest effect treated as zero
 
 _Kind = Literal["zero of a drive", "length", "position", "axis of a drive", "direction", "tool"]
 _PREFERENCE: tuple[_Kind, ...] = ("zero of a drive", "length", "position", "axis of a drive", "direction", "tool")
@@ -83,7 +83,7 @@ def minimal_parameters(
     preferred = [k for k in numbers if fitting.names[k] in preferred_names]
     others = sorted((k for k in numbers if fitting.names[k] not in preferred_names), key=lambda k: kinds[k])
     effects = _effects(fitting, poses)
-    least = max(least_effect, _NOTHING) * np.linalg.norm(effects, axis=0).max(initial=0.0)
+    least = max(least_effect, SOLVED) * np.linalg.norm(effects, axis=0).max(initial=0.0)
     rounds = [(preferred, _DISTINCT[-1], 0.0), *((others, distinct, least) for distinct in _DISTINCT)]
     chosen = _independent(effects, rounds)
     return fitting.select(name for k, name in enumerate(fitting.names) if k in chosen)
@@ -119,7 +119,7 @@ def _independent(effects: Matrix, rounds: Iterable[tuple[Sequence[int], float, f
     """Return columns that span all others, adding in each round those whose independent part is large enough."""
     triangle = np.asarray(np.linalg.qr(effects, mode="r"))
     norms = np.linalg.norm(triangle, axis=0)
-    nothing = _NOTHING * norms.max(initial=0.0)
+    nothing = SOLVED * norms.max(initial=0.0)
     chosen: set[int] = set()
     for order, distinct, least in rounds:
         for k in order:

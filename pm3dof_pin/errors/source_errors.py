@@ -36,6 +36,7 @@ from pm3dof_pin.errors.thermal_growth import Bending, ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array
 
 ErrorClass = Literal["kinematic parameters", "thermal", "stiffness", "drives", "vibration"]
@@ -50,7 +51,6 @@ GREATEST_VIBRATION = 3.0
 LINKS_SHARE = 0.5
 """Temperature rise of the links, as a fraction of the screws'."""
 
-_ROUNDING = 1e-12  # of a bend, below which its effect on the tool is treated as zero
 _WARM = 10.0  # [K]: large against rounding in the closing of loops, small against expansion
 
 
@@ -310,7 +310,7 @@ class _SourcesAtPoses:
             if named.keys() <= moved.keys():  # otherwise it would strain the loops
                 column = np.sum([amount * moved[name] for name, amount in named.items()], axis=0)
                 # a link between two joints rotates about them, which does not move the tool
-                if np.abs(column).max() > _ROUNDING * max(map(abs, named.values())):
+                if np.abs(column).max() > ROUNDING * max(map(abs, named.values())):
                     columns.append(column)
         return np.stack(columns, axis=2) if columns else np.zeros((len(self._poses), 6, 0))
 

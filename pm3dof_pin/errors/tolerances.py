@@ -18,6 +18,7 @@ import scipy.optimize
 from pm3dof_pin.errors.error_map import ErrorMap
 from pm3dof_pin.errors.error_parameters import HALF_WIDTH, Distribution
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array
 
 _MACHINES = 2000
@@ -25,7 +26,6 @@ _CHUNK = 200  # machines at a time
 _LINEAR = 0.05  # of the machine's size: larger errors are not small
 
 _ROUNDS = 50
-_RELATIVE_TOLERANCE = 1e-9
 
 
 Rule = Literal["equal_contributions", "least_cost"]
@@ -71,7 +71,7 @@ def allocate_tolerances(
     members = np.equal.outer(names, labels).astype(float)
     # effect of unit tolerances of each class on the squared tip error at each pose
     squares = np.sum(effects**2, axis=1) @ members.T
-    squares[squares < _RELATIVE_TOLERANCE * squares.max()] = 0.0
+    squares[squares < SOLVED * squares.max()] = 0.0
     costs = members @ error_map.errors.tolerances
     active = np.flatnonzero(squares.max(axis=0) > 0.0)
     scaled = squares[:, active] / target**2

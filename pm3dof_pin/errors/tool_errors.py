@@ -15,11 +15,11 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from pm3dof_pin.errors.command_correction import CONTROL_TOLERANCE
 from pm3dof_pin.errors.normal_vectors import expected_norm
 from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array, Mask
 
 LEAST_SENSITIVE_PART = 0.2
@@ -93,7 +93,7 @@ class ToolErrors(ABC):
 def control_basis(control: Array) -> Array:
     """Return an orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); zero-padded."""
     left, values, _ = np.linalg.svd(control, full_matrices=False)
-    return np.asarray(left * (values > CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :])
+    return np.asarray(left * (values > SOLVED * values.max(axis=1, keepdims=True))[:, None, :])
 
 
 def root_sum_squares(effects: Array, sigmas: Array | float = 1.0) -> Array:

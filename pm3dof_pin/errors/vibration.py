@@ -29,12 +29,11 @@ from pm3dof_pin.exceptions import FreeDirectionError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array, Matrix, Vector
 
 CAUSES = ("tool", "motors", "axes")
 """Causes of vibration: a force on the tool, the drives' forces, motion of the base that carries the axes."""
-
-_FREE = 1e-9  # [m, rad] of the tool per unit of a motion that no spring resists
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +87,7 @@ class Vibration:
         model = elastic_model(poses.robot)
         for q in poses.q:
             modes = natural_modes(model, q, payloads=self.payloads)
-            if np.abs(modes.free_twists).max(initial=0.0) > _FREE:
+            if np.abs(modes.free_twists).max(initial=0.0) > SOLVED:
                 raise FreeDirectionError(f"{poses.robot.name}: the tool can move with all springs at rest")
             yield modes
 

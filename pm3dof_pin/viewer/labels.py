@@ -11,6 +11,7 @@ import numpy as np
 
 from pm3dof_pin.exceptions import FrameNotFoundError
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.scene import Json
@@ -20,7 +21,6 @@ _INK, _MEASURE = "#111111", "#B03A2E"
 _DPI = 200
 _LONG = 12  # characters
 _LEG = ("B3", "D3", "E3")  # the one in front of the camera
-_SAME = 1e-9  # [m]
 
 
 def point_names(configuration: Configuration) -> dict[str, str]:
@@ -35,7 +35,7 @@ def point_names(configuration: Configuration) -> dict[str, str]:
     places: dict[str, Array] = {}
     for name in dict.fromkeys([*tool, *names]):
         place = configuration.frame_placement(name).translation
-        same = next((other for other, known in places.items() if np.allclose(place, known, atol=_SAME)), None)
+        same = next((other for other, known in places.items() if np.allclose(place, known, atol=SOLVED)), None)
         if same is None:
             found[name], places[name] = _in_symbols(name), place
         else:

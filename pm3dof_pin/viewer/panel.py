@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.viewer.scene import Json
 
 
@@ -39,7 +40,6 @@ class Entry:
         return dict(vars(self))
 
 
-_ROUNDING = 1e-12  # relative to the greatest number: smaller ones are rounding errors
 _SMALL = 1e-3  # relative to the greatest number: smaller ones have their own prefix
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
@@ -48,7 +48,7 @@ def numbers_with_unit(values: ArrayLike, unit: str, *, digits: int = 3) -> str:
     """Format numbers as in the page: 64.7 · 429 kN/m, with a common prefix if it suits all."""
     numbers = [float(value) for value in np.asarray(values, dtype=float)]
     greatest = max(map(abs, numbers), default=0.0)
-    numbers = [0.0 if abs(number) < _ROUNDING * greatest else number for number in numbers]
+    numbers = [0.0 if abs(number) < ROUNDING * greatest else number for number in numbers]
     powers = [_power(n if 0.0 < abs(n) < _SMALL * greatest else greatest) if unit != "1" else 0 for n in numbers]
     texts = [f"{float(f'{number / 10.0**power:.{digits}g}'):g}" for number, power in zip(numbers, powers, strict=True)]
     units = ["" if unit == "1" else f" {_PREFIXES[power]}{unit}" for power in powers]
