@@ -139,11 +139,11 @@ def answer() -> Callable[..., dict[str, Any]]:
 @pytest.fixture(scope="session", autouse=True)
 def _coarse_pictures() -> Iterator[None]:
     """Render at lower resolution, in half the time; tests/figures renders at full resolution."""
-    from pm3dof_pin.figures import section_map, style
+    from pm3dof_pin.figures import outlined_mesh, style
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(style, "DPI", 100)
-        patch.setattr(section_map, "_FACES", 2000)
+        patch.setattr(outlined_mesh, "_CELLS", 30)
         yield
 
 

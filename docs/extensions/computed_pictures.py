@@ -85,7 +85,7 @@ def _draw_errors(folder: Path) -> None:
         exact = errors_over(errors, grid, name)
         figure = section_map(section, name, within=lambda points: broken(points) == 0, exact=exact)
         save_figure(figure, folder / f"error_map_{name}.png")
-    save_figure(error_ranking(mapped.ranking()), folder / "error_ranking.png")
+    save_figure(error_ranking(mapped.ranking(), errors.robot.name), folder / "error_ranking.png")
 
 
 def _draw_hexapod(folder: Path) -> None:

@@ -154,7 +154,7 @@ def error_map(
         if pictures:
             from pm3dof_pin.figures.error_ranking import error_ranking
 
-            files += save(error_ranking(ranking), out / "error_ranking.png", formats)
+            files += save(error_ranking(ranking, errors.robot.name), out / "error_ranking.png", formats)
         result |= _summary(mapped) | {"ranking": [_plain(share) for share in ranking]}
         if target is not None:
             result["allocation"] = _allocation(mapped, target, None if coverage == "rms" else float(coverage))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shlex
+import sys
 from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
@@ -28,7 +30,8 @@ def save(figure: Figure, path: Path, formats: Iterable[PictureFormat] | None) ->
     """Write a picture in the formats of `--format`; the suffix of the path is ignored."""
     from pm3dof_pin.figures.style import save_pictures  # it loads matplotlib
 
-    return save_pictures(figure, path, [entry.value for entry in formats or (PictureFormat.png,)])
+    command = shlex.join(["pm3dof", *sys.argv[1:]])
+    return save_pictures(figure, path, [entry.value for entry in formats or (PictureFormat.png,)], command)
 
 
 def remove_former(folder: Path, names: str, written: Iterable[Path]) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _SECTIONS, _DIRECTIONS = 121, 360  # of the tripod
 _FEW_SECTIONS, _FEW_DIRECTIONS = 31, 240  # of other robots
+_ONE_SECTION_DIRECTIONS = 1440
 
 
 def workspace(
@@ -43,7 +44,8 @@ def workspace(
         int | None, typer.Option("--heights", "--sections", min=3, help="Number of sections (121; 31 with --robot).")
     ] = None,
     directions: Annotated[
-        int | None, typer.Option(min=8, help="Boundary points per section, about (360; 240 with --robot).")
+        int | None,
+        typer.Option(min=8, help="Boundary points per section, about (360; 240 with --robot, 1440 of one section)."),
     ] = None,
     beyond_ranges: Annotated[
         bool, typer.Option("--beyond-ranges", help="Go beyond the declared ranges of coordinates, up to other limits.")
@@ -72,8 +74,9 @@ def workspace(
             tripod = which.tripod()
             space = tripod_space(tripod)
         sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
+        usual = _DIRECTIONS if tripod else _FEW_DIRECTIONS if space.stacked else _ONE_SECTION_DIRECTIONS
         try:
-            found = reachable_set(space, sections, directions or (_DIRECTIONS if tripod else _FEW_DIRECTIONS))
+            found = reachable_set(space, sections, directions or usual)
         except InvalidValueError as error:
             raise typer.BadParameter(f"{space.machine}: {error}") from None
         progress(1, 4 if picture else 3)

@@ -21,6 +21,7 @@ from pm3dof_pin.figures.labels import (
     fixed_coordinates,
     in_brackets,
     in_words,
+    plain,
     typeset,
 )
 from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, draw_map, edge_handles, outlined_mesh
@@ -65,7 +66,9 @@ class _Outlines:
         return self.found[key]
 
 
-def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: str, outlines: _Outlines) -> Figure:
+def _atlas_slices(
+    values: xr.DataArray, flags: xr.DataArray, name: str, machine: str, unit: str, outlines: _Outlines
+) -> Figure:
     """Draw one quantity over at most its last three dimensions, with the others at their middle values."""
     for dim in values.dims:
         if "units" not in values[dim].attrs:
@@ -78,7 +81,7 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
         raise InvalidValueError("values", problem="are not finite", expected="at least one pose within the limits")
     shown, stands = _last_three(values)
     limits, _ = _last_three(flags)
-    title = f"{name[:1].upper()}{name[1:]}{f': {stands}' if stands else ''}"
+    title = f"{name[:1].upper()}{name[1:]}: {machine}{f', {stands}' if stands else ''}"
     factor, written = display_unit(np.nanpercentile(np.abs(values.values), 100.0 - TAILS[0]), unit)
     label = in_brackets(name if len(name) <= _LONGEST_LABEL or not written else "", written).strip()
     with house_style():
@@ -125,7 +128,7 @@ def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str,
     are extrapolated; without it, they end at the last poses within limits.
     """
     figures = {}
-    flags = dataset[BROKEN_LIMITS].load()
+    flags, machine = dataset[BROKEN_LIMITS].load(), plain(str(dataset.attrs["machine"]))
     outlines = _Outlines(None if robot is None else partial(limits_over, robot), _keeps_values_beyond(dataset, flags))
     for name, variable in dataset.data_vars.items():
         own = [str(dim) for dim in variable.dims if dim not in flags.dims]
@@ -138,9 +141,9 @@ def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str,
         for suffix, values in entries.items():
             if np.isfinite(values.values).any():
                 entry = suffix.removeprefix("_")
-                title = f"{words}: {entry_words(entry)}" if suffix else words
+                title = f"{words}, {entry_words(entry)}" if suffix else words
                 figures[f"{name}{suffix}"] = _atlas_slices(
-                    values.load(), flags, title, unit_of_entry(unit, entry), outlines
+                    values.load(), flags, title, machine, unit_of_entry(unit, entry), outlines
                 )
     return figures
 
@@ -208,12 +211,13 @@ def _middle(values: Array) -> int:
 
 
 def _section_indices(field: xr.DataArray) -> list[int]:
-    """Indices of the sections: equally spaced over those with any values."""
+    """Indices of the sections: equally spaced over those with any values, and symmetric."""
     filled = np.flatnonzero(np.isfinite(field.values).any(axis=(1, 2)))
     if not filled.size:  # nothing at the middle of the dimensions that are not drawn
         filled = np.arange(len(field))
-    places = filled[0] + (filled[-1] - filled[0]) * (np.arange(SECTIONS) + 0.5) / SECTIONS
-    return [int(place) for place in places]
+    offsets = (filled[-1] - filled[0]) * (np.arange(SECTIONS // 2) + 0.5) / SECTIONS
+    lower = [round(offset) for offset in offsets]
+    return [*(filled[0] + offset for offset in lower), *(filled[-1] - offset for offset in reversed(lower))]
 
 
 def _draw_plane(
@@ -222,7 +226,7 @@ def _draw_plane(
     across, up = map(str, plane.dims)
     units = [str(plane[dim].attrs["units"]) for dim in (across, up)]
     draw_map(axes, mesh, values, scale, units, linewidth=0.8)
-    words = [in_words(name, *at, 3) for name, at in fixed_coordinates(plane).items()]
+    words = [in_words(name, *at) for name, at in fixed_coordinates(plane).items()]
     axes.set_title(words[-1] if words else "")
     if equal and units[0] == units[1]:
         axes.set_aspect("equal")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 
-from pm3dof_pin.figures.labels import axis_label, drawn, entry_words, fixed_coordinates, in_words, part_words
+from pm3dof_pin.figures.labels import axis_label, drawn, entry_words, fixed_coordinates, in_words, part_words, plain
 from pm3dof_pin.figures.outlined_mesh import Within, draw_edges, edge_handles, outlined_mesh
 from pm3dof_pin.figures.style import TWO_COLUMNS, house_style, new_figure, spring_colors
 from pm3dof_pin.maps.workspace_evaluation import CRITICAL, SHARES, TIE
@@ -72,12 +72,10 @@ def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figur
         handles = [Patch(color=colors[number], label=part_words(names[number - 1])) for number in leading]
         figure.legend(handles=[*handles, *edge_handles([mesh])], loc="lower center", ncols=6)
         stands = [in_words(name, *at) for name, at in fixed_coordinates(section).items()]
-        place = f" at {', '.join(stands)}" if stands else ""
-        machine = section.attrs["machine"]
-        figure.suptitle(
-            f"Spring with the largest share of the deflection, more intense for more: {machine}{place}", fontsize=8.0
-        )
+        words = f"Spring with the largest share of the deflection: {plain(section.attrs['machine'])}"
+        below = ", ".join(["more intense for a larger share", *stands])
+        figure.suptitle(f"{words}\n{below}", y=1.0 - 0.06 / height, va="top")
         figure.subplots_adjust(
-            left=0.09, right=0.98, top=1.0 - 0.6 / height, bottom=0.85 / height, hspace=0.25, wspace=0.08
+            left=0.09, right=0.98, top=1.0 - 0.68 / height, bottom=0.85 / height, hspace=0.25, wspace=0.08
         )
     return figure

@@ -9,14 +9,14 @@ from matplotlib.figure import Figure
 
 from pm3dof_pin.errors.error_map import ParameterShare
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.labels import parameter_words
+from pm3dof_pin.figures.labels import parameter_words, plain
 from pm3dof_pin.figures.style import ONE_COLUMN, house_style, new_figure
 
 COMPENSABLE_COLOR, UNCOMPENSABLE_COLOR = "#56B4E9", "#D55E00"
 
 
-def error_ranking(ranking: Sequence[ParameterShare], most: int = 20) -> Figure:
-    """Draw the tip errors of an :class:`ErrorMap`'s most critical parameters within their tolerances.
+def error_ranking(ranking: Sequence[ParameterShare], machine: str, most: int = 20) -> Figure:
+    """Draw the tip errors of an :class:`ErrorMap`'s most critical parameters of a machine within their tolerances.
 
     Raises:
         InvalidValueError: there is nothing to show.
@@ -28,7 +28,7 @@ def error_ranking(ranking: Sequence[ParameterShare], most: int = 20) -> Figure:
     inches = 1.0 + 0.2 * len(shown)
     with house_style():
         figure = new_figure(ONE_COLUMN, inches)
-        figure.suptitle("Critical parameters, share", y=1.0 - 0.04 / inches, va="top")
+        figure.suptitle(f"Critical parameters: {plain(machine)}", y=1.0 - 0.04 / inches, va="top")
         words = [parameter_words(share.name) for share in shown]
         left = min(0.6, 0.06 + 0.0195 * max(len(text.replace("$", "")) for text in words))
         axes = figure.add_axes((left, 0.42 / inches, 0.97 - left, 1.0 - 0.86 / inches))

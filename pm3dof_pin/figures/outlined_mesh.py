@@ -1,7 +1,8 @@
 """Triangles over the part of a section within the limits, up to its exact outline.
 
-Cells crossed by the outline are cut where it crosses their sides, and a few more points follow the outline in between.
-This works for sections of any shape, with holes or in several parts.
+Contours (contourpy) between the poses of a grid within the limits and the others say which sides of cells the outline
+crosses, and bisection finds where. Poses and outline are triangulated together (Delaunay). So a section may have any
+shape, with holes or in several parts.
 """
 
 from __future__ import annotations
@@ -12,12 +13,15 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+from contourpy import contour_generator
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
+from matplotlib.path import Path
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import Delaunay, QhullError
 
 from pm3dof_pin.figures.color_scale import ColorScale
 from pm3dof_pin.figures.labels import drawn
@@ -28,12 +32,11 @@ Within: TypeAlias = Callable[[Array], Mask]
 """Maps points of the section, shape=(n, 2), to whether they are within the limits."""
 
 _HALVINGS = 10  # of the side of a cell
-_BETWEEN = 3  # points of the outline between two sides of a cell
-_NEAREST = 1e-4  # of the side of a cell, to avoid degenerate triangles
-_CELLS = 40  # least number along each axis; coarser grids are subdivided
+_CELLS = 80  # least number along each axis; coarser grids are subdivided
 _MARGIN = 0.03  # of the axes, around a map
 _TIP = 0.02  # of the axes; shorter ends of the grid are not mentioned
-_CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, in cyclic order
+_FLAT = 1e-6  # area of a triangle that is left out, in cells
+_DIGITS = 9  # of positions in cells, to find equal ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +46,8 @@ class OutlinedMesh:
     axes: tuple[Array, Array]  #: increasing values of both coordinates of the grid
     points: Array  #: shape=(p, 2)
     triangles: NDArray[np.intp]  #: indices of points, shape=(t, 3)
-    limit_lines: Array  #: points along the outline due to limits, one short line per cell, shape=(n, k, 2)
-    end_lines: Array  #: sides of cells where the grid ends without a limit, shape=(m, 2, 2)
+    limit_lines: tuple[NDArray[np.intp], ...]  #: indices of the points along the outline due to limits, line by line
+    end_lines: tuple[NDArray[np.intp], ...]  #: those where the grid ends without a limit
     fillable: Mask  #: poses of the grid excluded by a limit, whose values may be extrapolated, shape=(n, m)
 
     def values(self, field: Array) -> Array:
@@ -69,10 +72,7 @@ class OutlinedMesh:
         """
         known = np.moveaxis(np.where(np.isfinite(fields), fields, np.nan), -1, 0)
         filled = np.stack([_extended(field, self.fillable) for field in known], axis=-1)
-        fine = [
-            np.interp(np.linspace(0, len(axis) - 1, 8 * (len(axis) - 1) + 1), range(len(axis)), axis)
-            for axis in self.axes
-        ]
+        fine = [_subdivided(axis, 8 * (len(axis) - 1)) for axis in self.axes]
         places = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1)
         return np.asarray(_interpolator(self.axes, filled)(places))
 
@@ -94,23 +94,13 @@ def draw_map(
 
 def draw_edges(axes: Axes, mesh: OutlinedMesh, units: Sequence[str], **changes: Any) -> None:
     """Draw the edges of a map due to limits and to the end of the grid, in adjustable styles."""
-    for lines, style in ((mesh.limit_lines, LIMIT_LINE), (joined(mesh.end_lines), END_LINE)):
-        pieces = [np.column_stack([drawn(c, u) for c, u in zip(line.T, units, strict=True)]) for line in lines]
+    shown = np.column_stack([drawn(column, unit) for column, unit in zip(mesh.points.T, units, strict=True)])
+    for lines, style in ((mesh.limit_lines, LIMIT_LINE), (mesh.end_lines, END_LINE)):
+        pieces = [shown[line] for line in lines]
         axes.add_collection(LineCollection(pieces, clip_on=False, **collected(style | changes)), autolim=False)
     for fix, values, unit in ((axes.set_xlim, mesh.axes[0], units[0]), (axes.set_ylim, mesh.axes[1], units[1])):
         low, high = drawn(values[[0, -1]], unit)
         fix(low - _MARGIN * (high - low), high + _MARGIN * (high - low))
-
-
-def joined(lines: Array) -> list[Array]:
-    """Join successive connected lines, shape=(n, k, 2), so that dashes are continuous."""
-    chains: list[list[Array]] = []
-    for line in lines:
-        if chains and np.array_equal(chains[-1][-1][-1], line[0]):
-            chains[-1].append(line[1:])
-        else:
-            chains.append([line])
-    return [np.concatenate(chain) for chain in chains]
 
 
 def edge_handles(meshes: Iterable[OutlinedMesh]) -> list[Line2D]:
@@ -124,10 +114,10 @@ def edge_handles(meshes: Iterable[OutlinedMesh]) -> list[Line2D]:
     ]
 
 
-def _long(lines: Array, mesh: OutlinedMesh) -> bool:
+def _long(lines: Iterable[NDArray[np.intp]], mesh: OutlinedMesh) -> bool:
     """Return whether lines are longer than the tip of a map."""
     spans = np.array([np.ptp(axis) for axis in mesh.axes])
-    return bool(len(lines) and np.any(np.abs(np.diff(lines, axis=1)).sum(axis=(0, 1)) > _TIP * spans))
+    return any(np.abs(np.diff(mesh.points[line] / spans, axis=0)).sum() > _TIP for line in lines)
 
 
 def outlined_mesh(
@@ -140,73 +130,98 @@ def outlined_mesh(
     """
     axes = (np.asarray(first, dtype=float), np.asarray(second, dtype=float))
     fillable = ~inside if excluded is None else excluded & ~inside
-    x, y, nodes = axes[0], axes[1], np.asarray(inside)
-    if within is not None and min(len(x), len(y)) <= _CELLS:
-        x, y, nodes = _divided(axes, nodes, fillable, within)
-    numbers = np.full(nodes.shape, -1)
-    numbers[nodes] = np.arange(np.count_nonzero(nodes))
-    points = [np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)[nodes]]
-    sides = _Sides(x, y, nodes, within, len(points[0]))
-    points.append(sides.points)
-    triangles, pairs, owners = _cut_cells(numbers, nodes, sides)
-    known = np.concatenate(points)
-    lines = np.empty((0, 2, 2))
-    if len(pairs):
-        lines = known[pairs]
-        if within is not None:
-            lines = _followed(lines, within, 0.5 * np.hypot(np.diff(x).max(), np.diff(y).max()))
-            between = lines[:, 1:-1].reshape(-1, 2)
-            triangles += _fans(owners, pairs, len(known), _BETWEEN)
-            known = np.concatenate([known, between])
-        else:
-            triangles += _fans(owners, pairs, len(known), 0)
-    joined = np.concatenate(triangles) if triangles else np.empty((0, 3), dtype=np.intp)
-    limit_lines = lines if within is not None else np.empty((0, 2, 2))
-    return OutlinedMesh(axes, known, joined, limit_lines, _end_lines(known, numbers, sides), fillable)
+    fine, nodes = axes, np.asarray(inside)
+    if within is not None and min(nodes.shape) <= _CELLS:
+        fine, nodes = _divided(axes, nodes, fillable, within)
+    cell = np.array([np.ptp(axis) / max(len(axis) - 1, 1) for axis in fine])
+    rings, ends = _rings(fine, nodes, within)
+    places = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1)[nodes]
+    every = np.concatenate([places, *rings])
+    _, kept, numbers = np.unique((every / cell).round(_DIGITS), axis=0, return_index=True, return_inverse=True)
+    points, parts = every[kept], np.cumsum([len(places), *map(len, rings)])
+    outlines = np.split(numbers.ravel(), parts)[1 : len(rings) + 1]
+    limit_lines, end_lines = [], []
+    for ring, at_end in zip(outlines, ends, strict=True):
+        for line, is_end in _runs(ring, at_end):
+            if is_end:
+                end_lines.append(line)
+            elif within is not None:
+                limit_lines.append(line)
+    triangles = _triangles(points / cell, outlines)
+    return OutlinedMesh(axes, points, triangles, tuple(limit_lines), tuple(end_lines), fillable)
 
 
-class _Sides:
-    """Points, shape=(c, 2), where the outline crosses sides of cells, and their numbers by side, -1 for none."""
+def _rings(axes: Sequence[Array], nodes: Mask, within: Within | None) -> tuple[list[Array], list[Mask]]:
+    """Return the closed lines around the nodes inside, and which of their points are at the end of the grid."""
+    found = contour_generator(z=np.pad(nodes, 1).T.astype(float)).lines(0.5) if nodes.any() else []
+    indices = [np.asarray(line)[:-1] - 1.0 for line in found]
+    low, high = (np.concatenate([np.empty((0, 2)), *(part(line) for line in indices)]) for part in (np.floor, np.ceil))
+    last = np.array(nodes.shape) - 1
+    swap = np.zeros((len(low), 1), dtype=bool)
+    there = np.all((low >= 0) & (low <= last), axis=1)
+    swap[there, 0] = nodes[tuple(low[there].astype(int).T)]
+    inner, outer = np.where(swap, low, high), np.where(swap, high, low)
+    at_end = np.any((outer < 0) | (outer > last), axis=1)
 
-    def __init__(self, x: Array, y: Array, nodes: Mask, within: Within | None, start: int) -> None:
-        places: list[Array] = []
-        self.along: list[NDArray[np.intp]] = []
-        for axis in (0, 1):
-            low, high = [nodes.take(range(a, nodes.shape[axis] - 1 + a), axis=axis) for a in (0, 1)]
-            crossed = low != high
-            numbers = np.full(crossed.shape, -1)
-            numbers[crossed] = start + sum(len(found) for found in places) + np.arange(np.count_nonzero(crossed))
-            self.along.append(numbers)
-            i, j = np.nonzero(crossed)
-            ends = [np.stack([x[i], y[j]], axis=-1), np.stack([x[i + (axis == 0)], y[j + (axis == 1)]], axis=-1)]
-            swap = ~low[crossed]
-            inner, outer = np.where(swap[:, None], ends[::-1], ends)
-            places.append(_crossing(inner, outer, within))
-        self.points = np.concatenate(places)
+    def at(places: Array) -> Array:
+        index = [np.arange(len(axis)) for axis in axes]
+        return np.column_stack([np.interp(p, i, axis) for p, i, axis in zip(places.T, index, axes, strict=True)])
 
-
-def _crossing(inner: Array, outer: Array, within: Within | None) -> Array:
-    """Locate the outline between points inside and points outside, shape=(n, 2)."""
-    low, high = np.zeros(len(inner)), np.ones(len(inner))
+    low, high = np.zeros(len(inner)), np.where(at_end, 0.0, 1.0)
     for _ in range(_HALVINGS if within is not None and len(inner) else 0):
         middle = 0.5 * (low + high)
-        keeps = within(inner + middle[:, None] * (outer - inner))  # type: ignore[misc]
+        keeps = within(at(inner + middle[:, None] * (outer - inner)))  # type: ignore[misc]
         low, high = np.where(keeps, middle, low), np.where(keeps, high, middle)
-    return np.asarray(inner + np.clip(low, _NEAREST, 1.0 - _NEAREST)[:, None] * (outer - inner))
+    points = at(inner + low[:, None] * (outer - inner))
+    parts = np.cumsum([len(line) for line in indices])[:-1]
+    return (np.split(points, parts), np.split(at_end, parts)) if indices else ([], [])
 
 
-def _divided(axes: tuple[Array, Array], nodes: Mask, fillable: Mask, within: Within) -> tuple[Array, Array, Mask]:
-    """Subdivide a coarse grid, and check the limits at new nodes with values or next to some."""
-    fine = [
-        np.interp(np.linspace(0, len(a) - 1, (len(a) - 1) * max(1, -(-_CELLS // (len(a) - 1))) + 1), range(len(a)), a)
-        for a in axes
+def _runs(ring: NDArray[np.intp], at_end: Mask) -> list[tuple[NDArray[np.intp], bool]]:
+    """Divide a closed line into lines along the end of the grid and others."""
+    is_end = at_end | np.roll(at_end, -1)  # of the piece from each point to the next, along the edge of the grid
+    changes = np.flatnonzero(is_end != np.roll(is_end, 1))
+    if not len(changes):
+        return [(np.append(ring, ring[0]), bool(is_end[0]))]
+    around = np.append(changes, changes[0] + len(ring))
+    return [
+        (ring[np.arange(start, stop + 1) % len(ring)], bool(is_end[start]))
+        for start, stop in itertools.pairwise(around)
     ]
+
+
+def _triangles(points: Array, outlines: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+    """Triangulate points inside closed lines among them, shape=(t, 3)."""
+    try:
+        found = Delaunay(points).simplices.astype(np.intp)
+    except (QhullError, ValueError):  # fewer than three points, or all in a line
+        return np.empty((0, 3), dtype=np.intp)
+    corners = points[found]
+    middles = corners.mean(axis=1)
+    inside = np.zeros(len(found), dtype=bool)
+    for outline in outlines:
+        inside ^= Path(points[outline]).contains_points(middles)
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    flat = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) < _FLAT
+    kept: NDArray[np.intp] = found[inside & ~flat]
+    return kept
+
+
+def _subdivided(axis: Array, cells: int) -> Array:
+    return np.interp(np.linspace(0, len(axis) - 1, cells + 1), range(len(axis)), axis)
+
+
+def _divided(
+    axes: tuple[Array, Array], nodes: Mask, fillable: Mask, within: Within
+) -> tuple[tuple[Array, Array], Mask]:
+    """Subdivide a coarse grid, and check the limits at new nodes with values or next to some."""
+    first, second = (_subdivided(a, (len(a) - 1) * max(1, -(-_CELLS // (len(a) - 1)))) for a in axes)
     reached = _extended(np.where(nodes, 0.0, np.nan), fillable)
-    places = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1)
+    places = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1)
     near = np.isfinite(_interpolator(axes, reached)(places.reshape(-1, 2)))
     found = np.zeros(len(near), dtype=bool)
     found[near] = within(places.reshape(-1, 2)[near])
-    return fine[0], fine[1], found.reshape(places.shape[:2])
+    return (first, second), found.reshape(places.shape[:2])
 
 
 def _interpolator(axes: tuple[Array, Array], field: Array) -> RegularGridInterpolator:
@@ -229,92 +244,3 @@ def _extended(field: Array, fillable: Mask) -> Array:
         mean = np.nansum(stack, axis=0) / np.maximum(count, 1)
         field = np.where(fillable & ~np.isfinite(field) & (count > 0), mean, field)
     return field
-
-
-def _cut_cells(
-    numbers: NDArray[np.intp], nodes: Mask, sides: _Sides
-) -> tuple[list[NDArray[np.intp]], NDArray[np.intp], NDArray[np.intp]]:
-    """Return triangles of cells, pairs of points where the outline crosses a cell, and a corner to fan from."""
-    n, m = nodes.shape[0] - 1, nodes.shape[1] - 1
-    corners = [numbers[i : n + i, j : m + j] for i, j in _CORNERS]
-    along, up = sides.along
-    edges = [along[:, :-1], up[1:, :], along[:, 1:], up[:-1, :]]  # from each corner to the next
-    pattern = np.sum([(corner >= 0).astype(int) << k for k, corner in enumerate(corners)], axis=0)
-    triangles: list[NDArray[np.intp]] = []
-    pairs: list[NDArray[np.intp]] = []
-    owners: list[NDArray[np.intp]] = []
-    for which in range(1, 16):
-        cells = np.nonzero(pattern == which)
-        if not cells[0].size:
-            continue
-        ring: list[NDArray[np.intp]] = []
-        cut: list[tuple[int, int]] = []
-        for k in range(4):
-            inside, following = bool(which >> k & 1), bool(which >> (k + 1) % 4 & 1)
-            if inside:
-                ring.append(corners[k][cells])
-            if inside != following:
-                ring.append(edges[k][cells])
-                if inside:
-                    cut.append((len(ring) - 1, -1))
-                elif cut and cut[-1][1] < 0:
-                    cut[-1] = (cut[-1][0], len(ring) - 1)
-                else:  # the outline entered the cell before the first corner
-                    cut.insert(0, (-1, len(ring) - 1))
-        cut = [(a if a >= 0 else cut[-1][0], b if b >= 0 else cut[0][1]) for a, b in cut]
-        cut = list(dict.fromkeys(cut))
-        ends = {end for pair in cut for end in pair}
-        free = [k for k in range(len(ring)) if k not in ends]
-        start = free[len(free) // 2]  # opposite to the outline
-        order = [(start + k) % len(ring) for k in range(len(ring))]
-        for a, b in itertools.pairwise(order[1:]):
-            if (a, b) not in cut:
-                triangles.append(np.stack([ring[start], ring[a], ring[b]], axis=-1))
-        for a, b in cut:
-            pairs.append(np.stack([ring[a], ring[b]], axis=-1))
-            owners.append(ring[start])
-    if not pairs:
-        return triangles, np.empty((0, 2), dtype=np.intp), np.empty(0, dtype=np.intp)
-    return triangles, np.concatenate(pairs), np.concatenate(owners)
-
-
-def _fans(owners: NDArray[np.intp], pairs: NDArray[np.intp], start: int, between: int) -> list[NDArray[np.intp]]:
-    """Return the triangles from one corner of each cell to the outline in it."""
-    chain = np.concatenate(
-        [pairs[:, :1], start + np.arange(len(pairs) * between).reshape(len(pairs), between), pairs[:, 1:]], axis=1
-    )
-    return [np.stack([owners, chain[:, k], chain[:, k + 1]], axis=-1) for k in range(between + 1)]
-
-
-def _followed(chords: Array, within: Within, most: float) -> Array:
-    """Insert points of the outline between the ends of its chords, shape=(n, 2, 2); on the chord if none is near."""
-    part = np.linspace(0.0, 1.0, _BETWEEN + 2)[1:-1]
-    along = chords[:, 1] - chords[:, 0]
-    lengths = np.linalg.norm(along, axis=1)
-    across = np.stack([along[:, 1], -along[:, 0]], axis=-1) / np.maximum(lengths, 1e-300)[:, None]
-    places = (chords[:, :1] + part[:, None] * along[:, None]).reshape(-1, 2)
-    reach = np.repeat(across * np.minimum(0.5 * lengths, most)[:, None], _BETWEEN, axis=0)
-    inside = within(places)
-    reach = np.where(inside[:, None], reach, -reach)  # cells are anticlockwise, so that outside is on the right
-    found = within(places + reach) != inside
-    inner = np.where(inside[:, None], places, places + reach)
-    outer = np.where(inside[:, None], places + reach, places)
-    moved = np.where(found[:, None], _crossing(inner, outer, within), places)
-    return np.concatenate([chords[:, :1], moved.reshape(len(chords), _BETWEEN, 2), chords[:, 1:]], axis=1)
-
-
-def _end_lines(points: Array, numbers: NDArray[np.intp], sides: _Sides) -> Array:
-    """Return the sides of cells along the edge of the grid that are inside."""
-    lines = []
-    for nodes, cuts in (
-        (numbers[:, 0], sides.along[0][:, 0]),
-        (numbers[:, -1], sides.along[0][:, -1]),
-        (numbers[0], sides.along[1][0]),
-        (numbers[-1], sides.along[1][-1]),
-    ):
-        start, stop = nodes[:-1], nodes[1:]
-        first, last = np.where(start >= 0, start, cuts), np.where(stop >= 0, stop, cuts)
-        drawn = (first >= 0) & (last >= 0)
-        lines.append(np.stack([first[drawn], last[drawn]], axis=-1))
-    joined = np.concatenate(lines)
-    return points[joined] if len(joined) else np.empty((0, 2, 2))

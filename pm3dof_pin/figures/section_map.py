@@ -31,8 +31,8 @@ from pm3dof_pin.figures.labels import (
     plain,
     typeset,
 )
-from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, joined, outlined_mesh
-from pm3dof_pin.figures.space import divided_triangles, towards_viewer
+from pm3dof_pin.figures.outlined_mesh import Within, outlined_mesh
+from pm3dof_pin.figures.space import towards_viewer
 from pm3dof_pin.figures.style import (
     COLORMAP,
     END_LINE,
@@ -55,7 +55,6 @@ _BOX = np.array([1.0, 1.0, 0.72])  # sides of the drawing
 _HEIGHT, _LINE = 3.2, 0.17  # of the picture and of a line of its title [inch]
 _LONGEST_LABEL = 36  # characters next to the picture
 _LONGEST_TITLE = 100  # characters in one line
-_FACES = 20_000  # least number of flat triangles of the surface, for smooth colours
 _PIECES = 160  # of a line of the grid
 _LINES = 9  # grid lines drawn on the surface along each dimension
 
@@ -152,18 +151,15 @@ def _sheet(
     axes = [section[coordinate].values for coordinate in across]
     excluded = section[BROKEN_LIMITS].transpose(*variable.dims).values != 0
     mesh = outlined_mesh(axes[0], axes[1], np.isfinite(values), within, excluded)
-    places, triangles, heights = mesh.points, mesh.triangles, mesh.values(values)
+    heights = mesh.values(values)
     if exact is not None:
-        places, triangles, heights = _evaluated(mesh, heights, exact)
-    height_at = {place.tobytes(): height / factor for place, height in zip(places, heights, strict=True)}
+        found = exact(mesh.points)
+        heights = np.where(np.isfinite(found), found, heights)
 
     def shown(points: Array, heights: Array) -> Array:
         return np.stack([*(drawn(points[..., k], unit) for k, unit in enumerate(units)), heights], axis=-1)
 
-    limit_lines, end_lines = (
-        [shown(line, np.array([height_at[place.tobytes()] for place in line])) for line in joined(lines)]
-        for lines in (mesh.limit_lines, mesh.end_lines)
-    )
+    points = shown(mesh.points, heights / factor)
     what = typeset(attributes["long_name"].split(",")[0])
     stands = [in_words(name, *at) for name, at in fixed_coordinates(section).items()]
     machine = f"{plain(section.attrs['machine'])}, {section.attrs['model']} model"
@@ -173,33 +169,16 @@ def _sheet(
     separator = ", " if len(title) + len(section_of) < _LONGEST_TITLE else "\n"
     return _Sheet(
         shown(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), values / factor),
-        shown(places, heights / factor),
-        triangles.astype(np.int32),
-        limit_lines,
-        end_lines,
+        points,
+        mesh.triangles.astype(np.int32),
+        [points[line] for line in mesh.limit_lines],
+        [points[line] for line in mesh.end_lines],
         axes=(axis_label(across[0], units[0]), axis_label(across[1], units[1])),
         same_unit=units[0] == units[1],
         title=f"{title}{separator}{section_of}" if stands else title,
         # long names are omitted, since the title has them
         label=in_brackets(words if len(words) <= _LONGEST_LABEL else "", unit).strip(),
     )
-
-
-def _evaluated(
-    mesh: OutlinedMesh, heights: Array, exact: Callable[[Array], Array]
-) -> tuple[Array, NDArray[np.intp], Array]:
-    """Divide every triangle into four, and evaluate at all corners; interpolate along the outline."""
-    edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    pairs, numbers, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    middles, inner, count = mesh.points[pairs].mean(axis=1), counts > 1, len(mesh.points)
-    found = exact(np.concatenate([mesh.points, middles[inner]]))
-    known = np.where(np.isfinite(found[:count]), found[:count], heights)
-    between = known[pairs].mean(axis=1)
-    between[inner] = np.where(np.isfinite(found[count:]), found[count:], between[inner])
-    a, b, c = mesh.triangles.T
-    ab, bc, ca = count + numbers.reshape(-1, 3).T
-    parts = [np.stack(part, axis=-1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-    return np.concatenate([mesh.points, middles]), np.concatenate(parts), np.concatenate([known, between])
 
 
 def _draw_surface(axes: Any, sheet: _Sheet) -> None:
@@ -211,7 +190,7 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
         return np.log10(within) if scale.logarithmic else within
 
     points = np.column_stack([sheet.points[:, :2], heights(sheet.points[:, 2])])
-    faces = divided_triangles(points[sheet.triangles], _FACES)
+    faces = points[sheet.triangles]
     means = faces[:, :, 2].mean(axis=1)
     face_colors = colormaps[COLORMAP](scale.smooth_norm()(10.0**means if scale.logarithmic else means))
     limits = np.vstack([sheet.extent, heights(levels)])
@@ -238,7 +217,7 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
     axes.set_ylabel(sheet.axes[1], labelpad=-3)
     axes.set_zlabel(sheet.label, labelpad=4)
     round_ticks(axes)
-    axes.zaxis.set_major_locator(MaxNLocator(6))
+    axes.zaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     if scale.logarithmic:
         axes.zaxis.set_major_locator(FixedLocator([math.log10(tick) for tick in scale.ticks]))
         axes.zaxis.set_major_formatter(FuncFormatter(lambda value, _: number(10.0**value)))

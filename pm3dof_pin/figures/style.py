@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+import pm3dof_pin
 from pm3dof_pin.figures.labels import plain
 from pm3dof_pin.files import write_atomically
 
@@ -64,7 +66,13 @@ END_LINE: dict[str, Any] = {"color": "#777777", "linewidth": 1.0, "linestyle": (
 """Edges of a map: a joint limit, and the end of the grid, beyond which the robot could move."""
 
 FORMATS = ("png", "pdf", "svg")
-_UNDATED = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}  # metadata of time and software
+# names of metadata: title, software, command, and a date that is left out
+_METADATA = {
+    "png": ("Title", "Software", "Comment", None),
+    "pdf": ("Title", "Creator", "Subject", "CreationDate"),
+    "svg": ("Title", "Creator", "Description", "Date"),
+}
+_DATES = ("CreationDate", "Date")
 
 
 def limit_styles(names: Sequence[str]) -> dict[str, tuple[str, str]]:
@@ -118,26 +126,34 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: Path | str) -> Path:
+def save_figure(figure: Figure, path: Path | str, command: str | None = None) -> Path:
     """Write a figure as PDF, SVG or PNG by suffix, and return the path; equal figures give equal bytes.
+
+    Its metadata are its title, this package and version, and the command that drew it, if any.
 
     Raises:
         OutputError: the file cannot be written; no partial file is left.
     """
-    kind = suffix if (suffix := Path(path).suffix[1:].lower()) in _UNDATED else "png"
+    kind = suffix if (suffix := Path(path).suffix[1:].lower()) in _METADATA else "png"
+    title = re.sub(r"[$\\{}]", "", figure.get_suptitle()).replace("\n", "; ")
+    texts = (title or None, f"pm3dof-pin {pm3dof_pin.__version__}", command, None)
+    named = zip(_METADATA[kind], texts, strict=True)
+    metadata = {name: text for name, text in named if name is not None and (text or name in _DATES)}
     with house_style(), _fonts_undated(), write_atomically(path) as temporary:
-        figure.savefig(temporary, format=kind, dpi=DPI, metadata={_UNDATED[kind]: None})
+        figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
     return Path(path)
 
 
-def save_pictures(figure: Figure, path: Path | str, formats: Sequence[str] = ("png",)) -> list[Path]:
+def save_pictures(
+    figure: Figure, path: Path | str, formats: Sequence[str] = ("png",), command: str | None = None
+) -> list[Path]:
     """Write a figure in several of :data:`FORMATS`; its files in other formats, from earlier runs, are removed.
 
     Raises:
         OutputError: a file cannot be written.
     """
     target = Path(path)
-    written = [save_figure(figure, target.with_suffix(f".{kind}")) for kind in formats]
+    written = [save_figure(figure, target.with_suffix(f".{kind}"), command) for kind in formats]
     for kind in FORMATS:
         if kind not in formats:
             target.with_suffix(f".{kind}").unlink(missing_ok=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,10 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.labels import coordinate_attributes, dataset_attributes, flag_attributes, flag_type
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace
+from pm3dof_pin.maps.named_arrays import NamedArray, NamedArrays
 from pm3dof_pin.typing import Array, Mask
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _SEARCH_POINTS = 33  # along each coordinate of the first grid
 _MOST_SEARCHES = 24
@@ -120,7 +118,7 @@ class Workspace:
         total = sum(map(sum, (share.values() for share in shares))) or 1.0
         return {name: sum(share[name] for share in shares) / total for name in self.space.limits}
 
-    def surface(self, count: int = 56) -> Surface:
+    def surface(self, count: int = 44) -> Surface:
         """Return the boundary over three coordinates, found on a grid of so many cells along each.
 
         Raises:
@@ -145,26 +143,24 @@ class Workspace:
         points, limits = _crossings(self.space, node, inside, places - 1.0)
         return Surface(points, np.asarray(faces[:, ::-1], dtype=np.intp), limits)
 
-    def boundary(self) -> xr.Dataset:
+    def boundary(self) -> NamedArrays:
         """Return the boundary points of all sections over `point`: their coordinates [m, rad] and `binding_limits`.
 
         The latter are sums of the limits that bound the reachable set there.
         """
-        import xarray as xr
-
         space = self.space
         points = np.concatenate([section.points for section in self.sections])
         levels = np.repeat(self.levels, [len(section.points) for section in self.sections])
         limits = np.concatenate([np.empty(0), *(part for s in self.sections for part in s.limits)])
         columns = np.column_stack([points, levels])[:, : len(space.names)]
         attributes = flag_attributes(space.limits, "limits that end the reachable set")
-        return xr.Dataset(
-            {"binding_limits": ("point", limits.astype(flag_type(space.limits)), attributes)},
-            coords={
-                name: ("point", column, coordinate_attributes(name, unit, space.machine))
+        return NamedArrays(
+            {"binding_limits": NamedArray(("point",), limits.astype(flag_type(space.limits)), attributes)},
+            {
+                name: NamedArray(("point",), column, coordinate_attributes(name, unit, space.machine))
                 for name, unit, column in zip(space.names, space.units, columns.T, strict=True)
             },
-            attrs=dataset_attributes(f"Boundary of the workspace of {space.machine} under its limits", space.machine),
+            dataset_attributes(f"Boundary of the workspace of {space.machine} under its limits", space.machine),
         )
 
 

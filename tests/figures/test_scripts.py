@@ -14,7 +14,7 @@ import matplotlib.image
 import pytest
 
 from pm3dof_pin.calibration import calibrate
-from pm3dof_pin.figures import section_map, style
+from pm3dof_pin.figures import outlined_mesh, style
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 ELSEWHERE = {"gallery", "generate_description"}
@@ -64,7 +64,7 @@ def test_script(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], m
     options, files = RUNS[name]
     if name not in IN_FULL:
         monkeypatch.setattr(style, "DPI", 100)
-        monkeypatch.setattr(section_map, "_FACES", 2000)
+        monkeypatch.setattr(outlined_mesh, "_CELLS", 30)
         monkeypatch.setattr(calibrate, "workspace_errors", partial(calibrate.workspace_errors, points=7))
     script = _load(name)
     if name == "studies/plan_study":

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import matplotlib
 import pytest
+from PIL import Image
 
+import pm3dof_pin
 from pm3dof_pin.chapter.limits import LIMIT_NAMES as NAMES
 from pm3dof_pin.exceptions import OutputError
-from pm3dof_pin.figures.style import LIMIT_STYLES, house_style, limit_styles, new_figure, save_figure
+from pm3dof_pin.figures.style import LIMIT_STYLES, house_style, limit_styles, new_figure, save_figure, save_pictures
 
 
 def _draw(path: Path) -> bytes:
@@ -26,6 +28,22 @@ def test_equal_pictures_give_equal_bytes(tmp_path: Path) -> None:
     assert first.startswith(b"\x89PNG")
     assert first == second
     assert b"matplotlib" not in first.lower()
+
+
+def test_a_picture_says_what_it_shows_and_where_it_is_from(tmp_path: Path) -> None:
+    with house_style():
+        figure = new_figure(3.0, 2.0)
+        figure.suptitle("Stiffness along $z$: hexapod\nsection $r_x$ = 0.0 deg")
+    expected = {
+        "Title": "Stiffness along z: hexapod; section r_x = 0.0 deg",
+        "Software": f"pm3dof-pin {pm3dof_pin.__version__}",
+        "Comment": "pm3dof stiffness-map",
+    }
+    (path,) = save_pictures(figure, tmp_path / "picture.png", command="pm3dof stiffness-map")
+    with Image.open(path) as picture:
+        assert picture.info.items() >= expected.items()
+    for text in expected.values():
+        assert text in save_figure(figure, tmp_path / "picture.svg", "pm3dof stiffness-map").read_text()
 
 
 @pytest.mark.parametrize("kind", ["pdf", "svg"])

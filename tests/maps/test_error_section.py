@@ -96,9 +96,9 @@ def test_pictures(tripod_errors: GeometricErrors, grid: Grid, tmp_path: Path) ->
     np.testing.assert_allclose(exact(tilts), [*expected.tip_rms, np.nan], rtol=1e-12)
     figure = section_map(section, "tip_rms", within=lambda points: broken(points) == 0, exact=exact)
     assert save_figure(figure, tmp_path / "a.png").stat().st_size > 10_000
-    assert save_figure(error_ranking(mapped.ranking()), tmp_path / "b.png").stat().st_size > 10_000
+    assert save_figure(error_ranking(mapped.ranking(), "hexapod"), tmp_path / "b.png").stat().st_size > 10_000
     with pytest.raises(InvalidValueError):
-        error_ranking([])
+        error_ranking([], "hexapod")
 
 
 def test_a_section_out_of_reach_is_refused(tripod_errors: GeometricErrors) -> None:

@@ -75,7 +75,7 @@ def test_spreadsheet(tmp_path: Path, section: xr.Dataset) -> None:
 
 def test_boundary_of_the_workspace(tripod: Tripod, tmp_path: Path) -> None:
     reachable = workspace(tripod_space(tripod), [0.42, 0.487333, 0.55], 40)
-    boundary = reachable.boundary()
+    boundary = reachable.boundary().dataset()
     counts = [len(section.points) for section in reachable.sections]
     assert min(counts) > 20
     np.testing.assert_array_equal(boundary.z_e, np.repeat([0.42, 0.487333, 0.55], counts))
