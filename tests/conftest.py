@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 # as in the command: for small matrices, threads inside BLAS only compete
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ["PM3DOF_ROBOT"] = "pm3dof"  # commands without --robot do not say each time that they are about it
 
 import numpy as np
 import pytest

@@ -92,7 +92,7 @@ def atlas(
         mapped = MappedRobot(loaded)
         listed = {name: {"unit": entry.unit_for(mapped), "what": entry.long_name} for name, entry in existing.items()}
         lines = [f"{name}: {entry['what']} [{entry['unit']}]" for name, entry in listed.items()]
-        print_result({"quantities": listed}, lines, as_json=as_json)
+        print_result({"robot": loaded.name, "quantities": listed}, lines, as_json=as_json)
         return
     names = tuple(quantity or (name for name in _DEFAULT_QUANTITIES if name in existing))
     if ranges or counts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from xml.etree import ElementTree
 
 import typer
@@ -28,7 +29,7 @@ def configurations(context: typer.Context, incomplete: str) -> list[str]:
     from pm3dof_pin.description.robots import find_robot
 
     try:
-        srdf = find_robot(context.params.get("robot") or "pm3dof").srdf
+        srdf = find_robot(context.params.get("robot") or os.environ.get("PM3DOF_ROBOT") or "pm3dof").srdf
         states = [] if srdf is None else list(ElementTree.parse(srdf).iter("group_state"))
     except (PM3DofError, OSError, ElementTree.ParseError):
         return []
@@ -42,7 +43,7 @@ def coordinates(context: typer.Context, incomplete: str) -> list[str]:
     from pm3dof_pin.description.robots import find_robot
 
     try:
-        closures = find_robot(context.params.get("robot") or "pm3dof").closures
+        closures = find_robot(context.params.get("robot") or os.environ.get("PM3DOF_ROBOT") or "pm3dof").closures
         declared = () if closures is None else read_closures(closures).coordinates
     except PM3DofError:
         return []

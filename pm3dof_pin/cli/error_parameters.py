@@ -37,7 +37,7 @@ def error_parameters(
     The set is the smallest with the same effect on the tool as all errors of joints, closures and the tool. Parameters
     that the robot's error file declares come first.
     """
-    file = find_robot(which.robot, which.package_path or ()).errors
+    file = find_robot(which.path, which.package_path or ()).errors
     loaded = which.load_errors()
     declared = loaded if file.is_file() else None
     first = declared.parameters if declared is not None else ()

@@ -34,6 +34,7 @@ def export(
     ros is a ROS 2 package; urdf is the URDF with its closures file, error file and SRDF. Mesh files are written next to
     it; --no-meshes omits them.
     """
+    which.announce()
     folder = out if out is not None else Path("results") / format_name
     try:
         written = export_robot(which.path, format_name, folder, meshes=meshes, **which.reading)

@@ -52,7 +52,7 @@ def info(
         print_result(_file_schema(schema), [], as_json=True)
         return
     which = replace(which, robot=path or which.robot)
-    files = find_robot(which.robot, which.package_path or ())
+    files = find_robot(which.path, which.package_path or ())
     machine = which.load()
     result = (
         _files(files)
@@ -112,6 +112,7 @@ def _tree(robot: Robot) -> dict[str, Any]:
     kinds = {name: _kind(robot, name, joint.shortname()) for name, joint, _ in joints}
     massless = [name for name, _, inertia in joints if inertia.mass == 0.0]
     return {
+        "robot": robot.name,
         "name": robot.name,
         "joints": len(joints),
         "joint_types": dict(Counter(kinds.values())),

@@ -91,7 +91,8 @@ def measure(
         given = given and {name: values[taken] for name, values in given.items()}
         measurements = truth.measure(commands[taken], generator, instrument, given)
     path = write_measurements(measurements, errors.robot, out)
-    result = {"file": str(path), "poses": len(measurements), "measured": measurements.measured, "machine": machine}
+    result = {"robot": errors.robot.name, "file": str(path), "poses": len(measurements)}
+    result |= {"measured": measurements.measured, "machine": machine}
     print_result(result, [f"{len(measurements)} poses of machine {machine}, world '{world}'"], as_json=as_json)
     message(f"wrote {path}")
 

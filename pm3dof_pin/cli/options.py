@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperCommand
 
 from pm3dof_pin.cli import completion
+from pm3dof_pin.cli.output import message
 
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.tripod import Tripod
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from pm3dof_pin.typing import Engine
 
 THE_TRIPOD = "pm3dof"
+ROBOT_VARIABLE = "PM3DOF_ROBOT"
+"""Environment variable with the robot of commands without `--robot`."""
 
 
 def finite_number(text: str) -> float:
@@ -75,10 +78,11 @@ Config = Annotated[
 def _robot_name(without: str = "") -> Any:
     """Return the option that names a robot; `without` says what happens if it is missing."""
     words = f"Robot, by name or path of its description{without}."
-    return typer.Option(metavar="NAME|PATH", help=words, autocompletion=completion.robots)
+    variable = None if without else ROBOT_VARIABLE
+    return typer.Option(metavar="NAME|PATH", help=words, autocompletion=completion.robots, envvar=variable)
 
 
-_RobotName = Annotated[str, _robot_name()]
+_RobotName = Annotated[str | None, _robot_name()]
 _RobotNameOrChapter = Annotated[str | None, _robot_name("; without it, the chapter's figures are reproduced")]
 _ToolFrame = Annotated[
     str | None, typer.Option(metavar="NAME", help="Frame of the tool; by default the description's.")
@@ -153,9 +157,9 @@ NUMBER_OF_VALUES = {"--range": 4, "--over": 4, "--at": 2}
 
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions:
-    """The robot, and how its description is read."""
+    """The robot, and how its description is read; without `--robot` the chapter's machine, which is said."""
 
-    robot: _RobotName = THE_TRIPOD
+    robot: _RobotName = None
     tool_frame: _ToolFrame = None
     package_path: _PackagePath = None
     drive_stiffness: _DriveStiffness = None
@@ -165,18 +169,25 @@ class RobotOptions:
         """Load the robot."""
         from pm3dof_pin.kinematics.robot import Robot
 
+        self.announce()
         return Robot.load(self.path, **(self.reading | {"engine": engine, "threads": threads}))
 
     def load_errors(self, engine: Engine = "program") -> GeometricErrors:
         """Load the robot with all its error parameters."""
         from pm3dof_pin.errors.error_parameters import GeometricErrors
 
-        return GeometricErrors.load(self.robot, **(self.reading | {"engine": engine}))
+        self.announce()
+        return GeometricErrors.load(self.path, **(self.reading | {"engine": engine}))
+
+    def announce(self) -> None:
+        """Say which robot the answer is about, if none was named."""
+        if self.robot is None:
+            message(f"pm3dof: no --robot: this is about {THE_TRIPOD}")
 
     @property
     def path(self) -> str | Path:
         """Name or path that the robot is loaded from."""
-        return self.robot
+        return self.robot or THE_TRIPOD
 
     @property
     def reading(self) -> LoadOptions:
@@ -193,7 +204,8 @@ class RobotOptions:
         """Whether it is the chapter's machine, which has a closed form."""
         from pm3dof_pin.description.robots import find_robot
 
-        return self.robot == THE_TRIPOD or find_robot(self.robot).path.samefile(find_robot(THE_TRIPOD).path)
+        name = self.robot or THE_TRIPOD
+        return name == THE_TRIPOD or find_robot(name).path.samefile(find_robot(THE_TRIPOD).path)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +233,7 @@ class MachineOptions(RobotOptions):
     def path(self) -> str | Path:
         """Name or path that the robot is loaded from; with `--config`, a URDF generated for this process."""
         if self.config is None:
-            return self.robot or THE_TRIPOD
+            return super().path
         from pm3dof_pin.export.description import temporary_description
 
         return temporary_description(self.robot or THE_TRIPOD, self.config)
@@ -237,7 +249,7 @@ class MachineOptions(RobotOptions):
 class MachineOrChapterOptions(MachineOptions):
     """The robot; without `--robot`, the chapter's figures are reproduced."""
 
-    robot: _RobotNameOrChapter = None  # type: ignore[assignment]
+    robot: _RobotNameOrChapter = None
 
 
 @dataclass(frozen=True, kw_only=True)

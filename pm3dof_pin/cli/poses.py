@@ -88,7 +88,8 @@ def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None
     table = {**columns, BROKEN_LIMITS: _limit_words(poses)}
     inside = int(poses.within_limits.sum())
     if as_json:
-        print_result({"poses": len(poses), "poses_within_limits": inside, "columns": table}, [], as_json=True)
+        counts = {"robot": poses.robot.name, "poses": len(poses), "poses_within_limits": inside}
+        print_result(counts | {"columns": table}, [], as_json=True)
     if out is not None:
         write_text_atomically(out, columns_text(table))
         message(f"wrote {out}")

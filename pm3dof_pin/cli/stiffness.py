@@ -122,7 +122,7 @@ def _print_chapter(tripod: Tripod, pose: Vector, as_json: bool) -> None:
     named = dict(zip(chapter.AXES, diagonal, strict=True))
     rows = [[axis, f"{value:.6e}", chapter.UNITS[axis]] for axis, value in named.items()]
     rows.append(["global", f"{index:.6e}", "mean of the six"])
-    result = {"model": "chapter", "diagonal": named, "global": index, "units": chapter.UNITS}
+    result = {"robot": THE_TRIPOD, "model": "chapter", "diagonal": named, "global": index, "units": chapter.UNITS}
     print_result(result, table_lines(["axis", "stiffness", "unit"], rows), as_json=as_json)
 
 

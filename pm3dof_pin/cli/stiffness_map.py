@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.map_options import EngineOption, Over, Values, declared_ranges, robot_grid
-from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out, finite_number, tilt_angle
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, MachineOrChapterOptions, Out, finite_number, tilt_angle
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.table import described
@@ -238,6 +238,7 @@ def _map_of_chapter(
         remove_former(out, JOB_PICTURES, files)
     (table, table_of_8_3), statistics = described(table_8_3(tripod, robot=machine)), _ranges(section)
     result = {
+        "robot": THE_TRIPOD,
         "z_e_m": z_e,
         "poses": points**2,
         "poses_within_limits": inside,

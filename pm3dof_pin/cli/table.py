@@ -8,16 +8,17 @@ from typing import Any
 from pm3dof_pin.chapter import table_8_3 as table
 from pm3dof_pin.chapter.table_8_3 import TableRow
 from pm3dof_pin.cli.map_options import EngineOption
-from pm3dof_pin.cli.options import Config, Json, MachineOptions
+from pm3dof_pin.cli.options import THE_TRIPOD, Config, Json, MachineOptions
 from pm3dof_pin.cli.output import print_result, table_lines
 
 
 def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption = "program") -> None:
     """Print Table 8.3, published and computed; with --engine pinocchio, from the URDF's Jacobians."""
-    which = MachineOptions(config=config)
+    which = MachineOptions(robot=THE_TRIPOD, config=config)
     robot = which.load() if engine == "pinocchio" else None
     rows = table.table_8_3(which.tripod(), robot=robot)
-    print_result(*described(rows), as_json=as_json)
+    result, lines = described(rows)
+    print_result({"robot": THE_TRIPOD} | result, lines, as_json=as_json)
 
 
 def described(rows: Sequence[TableRow]) -> tuple[dict[str, Any], list[str]]:

@@ -177,9 +177,10 @@ class ElasticModel:
             return self.mechanism.configuration(self.embed(self.rigid.checked_positions(configuration)))
         if configuration.mechanism is self.mechanism:
             return configuration
-        if configuration.mechanism is self.rigid:
+        if self.rigid.matches(configuration.mechanism):
             return self.mechanism.configuration(self.embed(configuration.q))
-        raise InvalidValueError("configuration", configuration, f"a configuration of {self.rigid} or its elastic model")
+        problem = f"is one of {configuration.mechanism}"
+        raise InvalidValueError("configuration", problem=problem, expected=f"one of {self.rigid} or its elastic model")
 
     def length(self, block: SpringBlock, configuration: Configuration) -> float:
         """Return the length of a spring if a joint changes it, else 1 [m]; InvalidValueError unless positive."""

@@ -28,7 +28,8 @@ class Poses:
     """A batch of poses, of any shape. Read-only.
 
     Returned by :meth:`Robot.solve <pm3dof_pin.kinematics.robot.Robot.solve>` and similar methods. An unsolved pose is
-    NaN throughout.
+    NaN throughout. Batches have a length and are indexed like arrays. A single pose, of shape (), is like a batch of
+    one: its length is 1, and `poses[0]` is the pose itself.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -77,15 +78,18 @@ class Poses:
         return self.q.shape[:-1]
 
     def __len__(self) -> int:
-        return len(self.q)
+        """Return the number of poses along the first dimension; 1 for a single pose."""
+        return self.shape[0] if self.shape else 1
 
     def __iter__(self) -> Iterator[Configuration]:
-        """Iterate over the configurations of a one-dimensional batch."""
-        return (self.configuration(index) for index in range(len(self)))
+        """Iterate over the configurations of a one-dimensional batch, or of a single pose."""
+        batch = self if self.shape else self.reshape(1)
+        return (batch.configuration(index) for index in range(len(batch)))
 
     def __getitem__(self, index: Any) -> Poses:
-        """Return part of the batch; the index is over the batch dimensions."""
-        return self._mapped(lambda values: values[index])
+        """Return part of the batch; the index is over the batch dimensions. A single pose is like a batch of one."""
+        batch = self if self.shape or index is Ellipsis or index == () else self.reshape(1)
+        return batch._mapped(lambda values: values[index])
 
     def reshape(self, *shape: int) -> Poses:
         """Return the same poses in another shape."""

@@ -198,6 +198,13 @@ class Mechanism:
         variant.model, variant._prototype = model, self.prototype
         return variant
 
+    def matches(self, other: Mechanism) -> bool:
+        """Tell whether another mechanism has the same bodies, joints and closures, as two loads of one robot have.
+
+        Configurations of one are configurations of the other.
+        """
+        return self is other or (self.closures == other.closures and bool(self.model == other.model))
+
     @cached_property
     def loop_kinematics(self) -> LoopKinematics:
         """Pinocchio's data, one copy per thread."""

@@ -96,7 +96,7 @@ class Viewer(ShownScene):
     ) -> None:
         require_kind("mechanism", mechanism, Robot, "pm.load")
         super().__init__(mechanism.name, host, port)
-        if model is not None and model.rigid is not mechanism:
+        if model is not None and not mechanism.matches(model.rigid):
             raise InvalidValueError("model", model, f"an elastic model of {mechanism}")
         self.mechanism = mechanism
         self._bodies = Bodies.of(mechanism, visuals)
@@ -129,10 +129,14 @@ class Viewer(ShownScene):
         Raises:
             InvalidValueError: the configuration is of another mechanism, or is not a q of this one.
         """
+        if isinstance(configuration, Configuration):
+            if not self.mechanism.matches(configuration.mechanism):
+                problem = f"is one of {configuration.mechanism}"
+                raise InvalidValueError("configuration", problem=problem, expected=f"one of {self.mechanism}")
+            if configuration.mechanism is not self.mechanism:
+                configuration = configuration.q
         if not isinstance(configuration, Configuration):
             configuration = self.mechanism.configuration(configuration)
-        if configuration.mechanism is not self.mechanism:
-            raise InvalidValueError("configuration", configuration, f"a configuration of {self.mechanism}")
         self._configuration = configuration
         for entry in [entry for entry in self._entries.values() if entry.of_pose]:
             self._take_away(entry)
@@ -300,7 +304,7 @@ class Viewer(ShownScene):
         from pm3dof_pin.elastic.shares import shares
         from pm3dof_pin.viewer.legs import ColouredLegs
 
-        if model.rigid is not self.mechanism:
+        if not self.mechanism.matches(model.rigid):
             raise InvalidValueError("model", model, f"an elastic model of {self.mechanism}")
         load = finite_array("wrench", wrench, (6,))
         behaviour = cartesian_compliance(model, self._configuration)

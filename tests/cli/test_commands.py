@@ -388,3 +388,43 @@ def test_measure_takes_poses_or_a_plan(run: Run, tmp_path: Path) -> None:
     done = run("measure", "--plan", "plan.csv", "--poses", "3", cwd=tmp_path)
     assert done.returncode == 2
     assert "not both" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("info",),
+        ("ik", "0", "0", "0.5"),
+        ("ik", "--poses", "poses.csv"),
+        ("fk", "0.24", "0.24", "0.24"),
+        ("stiffness",),
+        ("stiffness", "0", "0", "0.5", "--model", "chapter"),
+        ("statics",),
+        ("modes",),
+        ("error-parameters",),
+        ("measure", "--poses", "6", "--only", "geometric", "--out", "m.csv"),
+        ("atlas", "--list"),
+        ("evaluate", "--points", "3", "--no-pictures"),
+        ("error-map", "--samples", "3", "--no-pictures"),
+    ],
+)
+def test_an_answer_without_robot_says_which_it_is_about(
+    run: Run, words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "poses.csv").write_text("theta_x_deg,theta_y_deg,z_e_m\n0,0,0.5\n")
+    notice = "no --robot: this is about pm3dof"
+    monkeypatch.delenv("PM3DOF_ROBOT")
+    silent = run(*words, "--json", cwd=tmp_path)
+    assert notice in silent.stderr
+    assert json.loads(silent.stdout)["robot"] == "pm3dof"
+    again = ("--force",) if words[0] == "measure" else ()
+    assert notice not in run(*words, *again, "--robot", "pm3dof", cwd=tmp_path).stderr
+    if words[0] == "info":
+        monkeypatch.setenv("PM3DOF_ROBOT", "hexapod")
+        assert json.loads(run("info", "--json").stdout)["robot"] == "hexapod"
+        assert json.loads(run("info", "three_rps", "--json").stdout)["robot"] == "three_rps"
+
+
+@pytest.mark.parametrize("words", [("stiffness-map", "--no-pictures", "--points", "9"), ("table-8-3",), ("workspace",)])
+def test_answers_about_the_chapter_name_its_robot(answer: Answer, words: tuple[str, ...], tmp_path: Path) -> None:
+    assert answer(*words, cwd=tmp_path)["robot"] == "pm3dof"

@@ -10,6 +10,9 @@ import pytest
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, placement
 from pm3dof_pin.chapter.limits import limit_flags
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses as draw
@@ -139,3 +142,36 @@ def test_an_arm_reaches_as_far_as_it_is_long_and_no_farther(tmp_path: Path) -> N
         np.testing.assert_array_equal(
             robot.reach(reach, on_failure="nan", engine=engine).solved, [True, True, False, False]
         )
+
+
+def test_a_single_pose_is_like_a_batch_of_one(mechanism: Robot) -> None:
+    pose = mechanism.solve([0.1, -0.2, 0.5])
+    assert (pose.shape, len(pose), pose[:1].shape) == ((), 1, (1,))
+    assert pose[0].shape == pose[-1].shape == pose[...].shape == ()
+    np.testing.assert_array_equal(pose[0].q, pose.q)
+    np.testing.assert_array_equal([configuration.q for configuration in pose], [pose.q])
+    with pytest.raises(IndexError):
+        pose[1]
+    batch = mechanism.solve([[0.1, -0.2, 0.5], [0.0, 0.0, 0.5]])
+    assert (len(batch), batch[1].shape, len(batch[1]), len(batch[:0])) == (2, (), 1, 0)
+
+
+def test_two_loads_of_a_robot_are_one_robot(mechanism: Robot) -> None:
+    again, other = Robot.load("pm3dof"), Robot.load("hexapod")
+    assert mechanism.matches(again)
+    assert not mechanism.matches(other)
+    model = ElasticModel(mechanism)
+    found, expected = (cartesian_compliance(model, robot.home).compliance for robot in (again, mechanism))
+    np.testing.assert_array_equal(found, expected)
+    with pytest.raises(InvalidValueError, match=r"is one of Robot\(hexapod: .* expected one of Robot\(pm3dof: "):
+        cartesian_compliance(model, other.home)
+    longer = again.model.copy()
+    longer.jointPlacements[1].translation[0] += 1e-3
+    assert not mechanism.matches(again.replace(model=longer))
+
+
+def test_coordinates_given_where_positions_belong_are_named(mechanism: Robot) -> None:
+    with pytest.raises(
+        InvalidValueError, match=r"12\), joint positions q; solve values of theta_x, theta_y, z_e first"
+    ):
+        compliance(mechanism, [0.1, -0.2, 0.5])
