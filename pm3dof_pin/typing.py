@@ -25,3 +25,6 @@ OnFailure: TypeAlias = Literal["raise", "nan"]
 
 Engine: TypeAlias = Literal["program", "pinocchio"]
 """What evaluates a batch: the robot's compiled program, or Pinocchio pose by pose."""
+
+Branch: TypeAlias = Literal["home", "all"]
+"""Which branches poses may be on: home's only, or any that the coordinates alone determine."""

@@ -14,7 +14,7 @@ from pm3dof_pin.cli.poses import in_words
 if TYPE_CHECKING:
     from pm3dof_pin.errors.source_errors import ErrorSources
     from pm3dof_pin.kinematics.grid import Grid
-    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.kinematics.robot import Poses
 
 _CLASSES = {
     "kinematic parameters": "quasi-static: kinematic parameters",

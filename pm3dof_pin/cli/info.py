@@ -63,7 +63,7 @@ def info(
         | _readings(machine)
     )
     result |= {"springs": len(machine.springs), "named_configurations": list(machine.named_configurations)}
-    reason = machine.why_careful()
+    reason = machine.reason_without_programs()
     result |= {"engine": "program" if reason is None else "pinocchio", "engine_reason": reason}
     result["tool_motions"] = machine.tool_motions
     result["singularity_distances"] = read_singularity_distances(machine.home)

@@ -27,8 +27,7 @@ from pm3dof_pin.description.coordinates import Coordinate, shown_in
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 from pm3dof_pin.kinematics.pose_file import readings
-from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.typing import Vector
 
 Commands = Annotated[

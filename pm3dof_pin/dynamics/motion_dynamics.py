@@ -10,11 +10,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, require_kind
+from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.jacobians import MotionName, Rate, ReferenceMotions, motion_rates, recorded_motions
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
-from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near_home
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.programs import cache, geometry

@@ -16,8 +16,8 @@ import pinocchio as pin
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.traced import Roots, elastic_program
 from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.programs import cache, geometry, masses
 from pm3dof_pin.programs.closed_motions import closed_motions
 from pm3dof_pin.programs.elimination import DROPPED, Doubt, product, samples

@@ -27,8 +27,8 @@ import numpy as np
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent, tool_coordinates
 from pm3dof_pin.elastic.elastic_model import ElasticModel, SpringBlock
 from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
+from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.closing_programs import BoundProgram
-from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.programs import cache, geometry, loops
 from pm3dof_pin.programs.elimination import (
     Doubt,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt
 from pm3dof_pin.programs.graph import Graph, select

@@ -34,8 +34,7 @@ from pm3dof_pin.errors.pose_error import pose_difference
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.errors.thermal_growth import Bending, ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
-from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from pm3dof_pin.kinematics.samples import samples_near_home
+from pm3dof_pin.kinematics.branches import samples_near_home
+from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.cache import compiled, stored
 from pm3dof_pin.programs.checks import checks_program
@@ -18,14 +19,20 @@ from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.programs.walk import Walk, control_program, start_program
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.robot import Robot
+_KEPT = "_program_source"
 
 
-def program_source(robot: Robot) -> ProgramSource:
+def program_source(robot: PlacedMechanism) -> ProgramSource:
     """Return the source of a robot's programs: its prototype's, unless their structures differ."""
-    source = robot.prototype.program_source
-    return source if source.serves(robot) else robot.program_source
+    source = _source(robot.prototype)
+    return source if source.serves(robot) else _source(robot)
+
+
+def _source(robot: PlacedMechanism) -> ProgramSource:
+    if _KEPT not in vars(robot):
+        vars(robot)[_KEPT] = ProgramSource(robot)
+    found: ProgramSource = vars(robot)[_KEPT]
+    return found
 
 
 class BoundProgram(NamedTuple):
@@ -63,24 +70,24 @@ class ProgramSource:
     as parameters, which serves all further variants.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: PlacedMechanism) -> None:
         self._robot = robot
         self._numbers = geometry.numbers(robot)
         self._constants = geometry.constants(self._numbers)
         self._structure = geometry.structure(robot)
-        self._latest: tuple[Robot, Mapping[str, float], bool] = robot, self._numbers, False
+        self._latest: tuple[PlacedMechanism, Mapping[str, float], bool] = robot, self._numbers, False
         self._known: dict[tuple[str, bool], Compiled] = {}
 
     @cached_property
     def samples(self) -> Matrix:
-        """Closed configurations near home, see :func:`~pm3dof_pin.kinematics.samples.samples_near_home`."""
+        """Closed configurations near home, see :func:`~pm3dof_pin.kinematics.branches.samples_near_home`."""
         return samples_near_home(self._robot)
 
-    def serves(self, robot: Robot) -> bool:
+    def serves(self, robot: PlacedMechanism) -> bool:
         """Return whether a variant of the robot has the same structure."""
         return robot is self._robot or geometry.structure(robot) == self._structure
 
-    def walk(self, robot: Robot, task: Task) -> BoundProgram:
+    def walk(self, robot: PlacedMechanism, task: Task) -> BoundProgram:
         """Return the walk that closes the loops of the robot or a variant, and its Newton step.
 
         Raises:
@@ -96,7 +103,7 @@ class ProgramSource:
 
         return self._bound(robot, f"walk {task}", trace)
 
-    def damped_step(self, robot: Robot, task: Task) -> BoundProgram:
+    def damped_step(self, robot: PlacedMechanism, task: Task) -> BoundProgram:
         """Return the damped step that closes the loops of the robot or a variant; errors as in :meth:`walk`."""
         name = f"damped step {task}"
         own, samples = self._robot, self.samples
@@ -106,16 +113,17 @@ class ProgramSource:
             lambda dense: self._stored(name, dense, lambda: damped_closing_program(own, task, samples, dense=dense)),
         )
 
-    def checks(self, robot: Robot) -> BoundProgram:
+    def checks(self, robot: PlacedMechanism) -> BoundProgram:
         """Return the program that checks closed configurations, see :func:`~pm3dof_pin.programs.checks.checks_program`.
 
         Arguments and errors as in :meth:`walk`.
         """
-        own, samples = self._robot, self.samples
+        own, samples, task = self._robot, self.samples, Task.of(self._robot.coordinates)
+        name = f"checks {task}"
         return self._bound(
             robot,
-            "checks",
-            lambda dense: self._stored("checks", dense, lambda: checks_program(own, samples, dense=dense)),
+            name,
+            lambda dense: self._stored(name, dense, lambda: checks_program(own, samples, task, dense=dense)),
         )
 
     def _stored(self, name: str, dense: bool, trace: Callable[[], Program]) -> Program:
@@ -127,14 +135,14 @@ class ProgramSource:
 
         return stored(f"{name} {dense} {self._content}", traced)
 
-    def _bound(self, robot: Robot, name: str, trace: Callable[[bool], Program | Walk]) -> BoundProgram:
+    def _bound(self, robot: PlacedMechanism, name: str, trace: Callable[[bool], Program | Walk]) -> BoundProgram:
         numbers, dense = self._geometry_of(robot)
         if (name, dense) not in self._known:
             self._known[name, dense] = compiled(trace(dense))
         found = self._known[name, dense]
         return BoundProgram(found, geometry.chosen(numbers, found.program.parameters))
 
-    def _geometry_of(self, robot: Robot) -> tuple[Mapping[str, float], bool]:
+    def _geometry_of(self, robot: PlacedMechanism) -> tuple[Mapping[str, float], bool]:
         """Return the numbers of the robot or a variant, and whether one of them differs from a constant."""
         if robot is self._robot:
             return self._numbers, False

@@ -5,13 +5,14 @@ A *march* fills a product grid outward from its point nearest to home, axis by a
 by its neighbours on a line. Newton steps are programs of :mod:`pm3dof_pin.programs.closing`, and lines are followed in
 machine code.
 
-A pose is accepted if the loops are closed to rounding, the joints are near their predictions, and no closing system is
-singular or has changed its orientation, which would be another assembly mode. Otherwise the walk is repeated in shorter
-legs; poses that a march leaves unsolved are walked to from home and from solved neighbours. A walk may end at a
-singular pose but does not pass it: poses beyond are in another assembly mode and stay unsolved.
+A pose is accepted if the loops are closed to rounding, the joints are near their predictions, no closing system is
+singular or has changed its orientation, and the pose is on the branch of the walk's start
+(:mod:`pm3dof_pin.kinematics.branches`). Otherwise the walk is repeated in shorter legs; poses that a march leaves
+unsolved are walked to from home and from solved neighbours. A walk may end at a singular pose but does not pass it:
+poses beyond are on another branch and stay unsolved.
 
 For serial arms, which can pass singular poses, and guesses with open loops, damped steps are taken. If these settle
-with an error, the pose is unsolved; if they do not settle, the careful solver
+with an error, the pose is unsolved; if they do not settle, the solver
 :func:`~pm3dof_pin.kinematics.assembly.assemble` on Pinocchio's Jacobians decides.
 
 The result for a pose depends on the mechanism, the coordinates and the grid (or the part of it that is marched), but
@@ -21,28 +22,28 @@ not on the number of threads or on other poses of a walk.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
-from pm3dof_pin.kinematics.careful import assemble_at
+from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.pose_search import Solution
-from pm3dof_pin.kinematics.units import coordinate_scales
+from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
+from pm3dof_pin.kinematics.pose_search import Solution, waypoint_lattice
+from pm3dof_pin.kinematics.reference import assemble_at
 from pm3dof_pin.programs.closing import Task, regularity_and_mode
 from pm3dof_pin.programs.llvm import Walked
 from pm3dof_pin.programs.llvm_ir import HISTORY
-from pm3dof_pin.programs.walk import NEARLY_CLOSED, REACHED, SHORTEST_LEG
+from pm3dof_pin.programs.walk import NEARLY_CLOSED, REACHED, SHORTEST_LEG, WALK
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.robot import Robot
 
 _SHORTEST_QUICK_LEG = 0.25  # relative to the usual one
 _LAST_STEPS = 50  # of damped poses: near a singular pose the first steps only halve the distance
@@ -51,10 +52,7 @@ _DAMPED_ROUNDS = 20
 _AT_REST = 0.99  # ratio of squared errors after and before a round that has settled
 _DAMPING = 0.1  # of the first damped step
 _GREATEST_SHARE = 20.0  # largest weight in a prediction; that of equally spaced poses is 6
-_WAYPOINTS = 1000
-_WIDTH = 3.0  # of the waypoint lattice on both sides of home, unless joints end earlier [characteristic lengths]
 _AT_ONCE = 4096  # poses per block, to stay in cache
-_REGULAR = 1e-3  # least regularity of a configuration well away from singular ones
 
 
 class Continuation:
@@ -64,7 +62,7 @@ class Continuation:
         ProgramError: there is no program for the robot, or it disagrees with Pinocchio.
     """
 
-    def __init__(self, robot: Robot, coordinates: Sequence[Coordinate]) -> None:
+    def __init__(self, robot: PlacedMechanism, coordinates: Sequence[Coordinate]) -> None:
         self._robot = mechanism = robot
         self._nq = mechanism.model.nq
         self._coordinates = tuple(coordinates)
@@ -74,9 +72,8 @@ class Continuation:
         self._order = sorted(range(len(self._coordinates)), key=lambda k: self._coordinates[k].joint is None)
         self._offsets = np.array([c.offset for c in self._coordinates])
         self._scales = np.array([c.scale for c in self._coordinates])
-        self._units = coordinate_scales(mechanism, self._coordinates)
         self._source = source = program_source(robot)
-        self._task = Task(tuple(joint.name for joint in self._given), self._tool)
+        self._task = Task.of(self._coordinates)
         self._step = source.walk(robot, self._task)
         self._checks = source.checks(robot)
 
@@ -86,13 +83,8 @@ class Continuation:
 
     @cached_property
     def _home(self) -> Vector:
-        """The home configuration or, if that is singular, the most regular of the samples."""
-        home = self._robot.home.q
-        if self._regularity_and_mode(home[None])[0][0] > _REGULAR:
-            return home
-        rows = np.vstack([home, self._source.samples])
-        start: Vector = rows[np.argmax(np.nan_to_num(self._regularity_and_mode(rows)[0]))]
-        return start
+        """The configuration from which poses are reached."""
+        return start_of(self._robot)
 
     @cached_property
     def _home_mode(self) -> float:
@@ -110,70 +102,89 @@ class Continuation:
     # walking
 
     def walk(
-        self, targets: Matrix, starts: Matrix | None = None, *, thorough: bool = True, home_too: bool = True
+        self,
+        targets: Matrix,
+        starts: Matrix | None = None,
+        *,
+        thorough: bool = True,
+        home_too: bool = True,
+        keep_branch: bool = True,
     ) -> Solution:
-        """Find the poses at targets [m, rad], each by its own walk from its start, by default home.
+        """Find the poses at targets [m, rad], see :class:`~pm3dof_pin.kinematics.pose_search.Solver`.
 
-        If a walk fails, damped steps start from its end and (`home_too`) from home. If not `thorough`, a walk in
-        trouble is abandoned: faster if many poses are out of reach, but may miss poses next to singular ones.
+        If not `thorough`, a walk in trouble is abandoned: faster if many poses are out of reach, but may miss poses
+        next to singular ones.
         """
         targets = np.asarray(targets, dtype=float)
         q = np.tile(self._home, (len(targets), 1)) if starts is None else np.array(starts, dtype=float)
         for first in range(0, len(q), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             if thorough:
-                self._solve_each(q[part], targets[part], home_too=home_too)
+                self._solve_each(q[part], targets[part], home_too=home_too, keep_branch=keep_branch)
             else:
-                q[part] = _reached(self._walked(q[part], targets[part], _SHORTEST_QUICK_LEG))
+                q[part] = self._reached(q[part], targets[part], _SHORTEST_QUICK_LEG, keep_branch=keep_branch)[0]
         return self._check(q, targets)
 
-    def waypoints(self, targets: Matrix) -> Matrix:
-        """Return poses near targets as alternative starts of walks, shape=(n, nq); NaN where there is none.
-
-        They are from a lattice filled by a march.
-        """
-        lattice, waypoints = self._waypoints
-        index = tuple(
-            np.abs(axis[:, None] - values).argmin(axis=0)
-            for axis, values in zip(lattice.axes.values(), targets.T, strict=True)
-        )
-        return np.asarray(waypoints[index])
-
     @cached_property
-    def _waypoints(self) -> tuple[Grid, Array]:
-        """A lattice around home, and its poses; where unsolved, those of a neighbour, or NaN."""
-        size = max(round(_WAYPOINTS ** (1.0 / len(self._coordinates))), 3)
-        axes = {}
-        for coordinate, home, unit in zip(self._coordinates, self.read(self._home[None])[0], self._units, strict=True):
-            width = unit * (_WIDTH if coordinate.unit == "m" else np.pi)
-            # declared ranges of the tool are for maps, and do not bound the reachable set
-            lower, upper = (-np.inf, np.inf) if coordinate.joint is None else self._robot.range_of(coordinate)
-            first = lower if np.isfinite(lower) else home - width
-            last = upper if np.isfinite(upper) else home + width
-            axes[coordinate.name] = np.linspace(first, last, size)
-        lattice = Grid(self._coordinates, axes, {})
-        q = self.march(lattice).q.reshape(*lattice.shape, -1)
-        return lattice, np.where(np.isnan(q), _solved_neighbours(q), q)
+    def lattice(self) -> tuple[Matrix, Matrix]:
+        """Values and poses of a lattice around home."""
+        grid = waypoint_lattice(self._robot, self._coordinates, self.read(self._home[None])[0])
+        q = np.array(self.march(grid).q).reshape(*grid.shape, self._nq)
+        before = -1
+        while before != (before := int(np.isfinite(q[..., 0]).sum())):  # from every side
+            for starts in _neighbours(q):
+                frontier = np.isnan(q[..., 0]) & np.isfinite(starts[..., 0])
+                found = starts[frontier]
+                self._solve_each(found, grid.values[frontier])
+                q[frontier] = found
+        solved = np.isfinite(q[..., 0])
+        return grid.values[solved], q[solved]
 
-    def _solve_each(self, q: Matrix, targets: Matrix, *, home_too: bool = False) -> None:
+    def _solve_each(self, q: Matrix, targets: Matrix, *, home_too: bool = False, keep_branch: bool = True) -> None:
         """Walk from q to the targets, in place; permitted damped steps start from there and from home."""
-        walked = self._walked(q, targets)
-        found = _reached(walked)
+        found, ends = self._reached(q, targets, keep_branch=keep_branch)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
-        if self._robot.closures and failed.size:
+        if self._robot.has_loops and failed.size:
             failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]  # open at the start
         if failed.size:
-            found[failed] = self._damped(walked.q[failed], targets[failed], home_too=home_too)
+            found[failed] = self._damped(ends[failed], targets[failed], home_too=home_too)
         q[:] = found
+
+    def _reached(
+        self, q: Matrix, targets: Matrix, shortest: float = SHORTEST_LEG, *, keep_branch: bool = True
+    ) -> tuple[Matrix, Matrix]:
+        """Walk to targets; return the poses there, NaN where none is on the branch, and the ends of the walks."""
+        walked = self._walked(q, targets, shortest)
+        reached = walked.status == REACHED
+        if keep_branch and self._robot.has_loops and (rows := np.flatnonzero(reached)).size:
+            others = rows[self._branches(walked.q[rows]) != self._branches(q[rows])]
+            # at a singular pose signs are undefined
+            reached[others] = self._regularity_and_mode(walked.q[others])[0] <= WALK.regularity
+        return np.where(reached[:, None], walked.q, np.nan), walked.q
+
+    def _branches(self, q: Matrix) -> Vector:
+        """Return the branch numbers of closed configurations, see :mod:`~pm3dof_pin.kinematics.branches`."""
+        program = self._checks.compiled.program
+        numbers: Vector = self._checks(q)[:, program.slices["branch"].start]
+        return numbers
+
+    @cached_property
+    def _home_branch(self) -> np.int64:
+        """Number of home's branch in the programs, which are the prototype's; zero unless its home is another."""
+        return np.int64(self._branches(self._home[None])[0])
 
     def _damped(self, q: Matrix, targets: Matrix, *, home_too: bool = False) -> Matrix:
         """Return the poses found by damped steps from q or else from home; NaN where these settle with an error.
 
-        Where they do not settle, the careful solver decides.
+        Where they do not settle, the damped solver on Pinocchio's Jacobians decides.
         """
         found = np.full_like(q, np.nan)
         numbers = self._given_numbers(targets)
-        for starts in (q, np.tile(self._home, (len(q), 1))) if home_too else (q,):
+        guesses = [q]
+        if home_too:
+            with suppress(PM3DofError):  # then poses are reached from guesses only
+                guesses.append(np.tile(self._home, (len(q), 1)))
+        for starts in guesses:
             rows = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(numbers).all(axis=1))
             ends, moving = self._damped_ends(starts[rows], numbers[rows])
             closed = self._residuals(ends, targets[rows]) <= CLOSURE_TOLERANCE
@@ -216,8 +227,8 @@ class Continuation:
 
     # marching
 
-    def march(self, grid: Grid, threads: int | None = None) -> Solution:
-        """Find the poses of a product grid, flat, in the order of `grid.values`.
+    def march(self, grid: Grid, threads: int | None = None, *, keep_branch: bool = True) -> Solution:
+        """Find the poses of a product grid, flat, in the order of `grid.values`; `keep_branch` as in :meth:`walk`.
 
         Poses depend on the whole grid: a part marched alone may differ in the last digits, since its poses start from
         other neighbours.
@@ -228,7 +239,7 @@ class Continuation:
         first = tuple(int(np.abs(axis - at_home[name]).argmin()) for name, axis in grid.axes.items())
         q = np.empty((*shape, self._nq))  # filled completely below
         nearest = self._home[None].copy()
-        self._solve_each(nearest, values[first][None], home_too=True)
+        self._solve_each(nearest, values[first][None], home_too=True, keep_branch=keep_branch)
         q[first] = nearest[0]
         numbers = self._given_numbers(values)
         for dimension, axis in enumerate(grid.axes.values()):
@@ -241,10 +252,12 @@ class Continuation:
             self._march_lines(lines[:, back], given[:, back], axis[back], known, threads)
         flat_values = values.reshape(-1, values.shape[-1])
         solution = self._check(q.reshape(-1, self._nq), flat_values, placed=False)
-        if not np.isnan(solution.q[:, 0]).any():
-            return solution
         q = solution.q.reshape(q.shape)
-        self._fill(q, values)
+        if keep_branch and solution.branch is not None and solution.branch.any():
+            q = np.where(_connected(np.reshape(solution.branch == 0, shape), first)[..., None], q, np.nan)
+        if not np.isnan(q[..., 0]).any():
+            return solution
+        self._fill(q, values, keep_branch=keep_branch)
         return self._check(q.reshape(-1, self._nq), flat_values, placed=False)
 
     def _march_lines(self, lines: Array, numbers: Array, axis: Vector, known: int, threads: int | None) -> None:
@@ -256,23 +269,24 @@ class Continuation:
             threads=threads,
         )
 
-    def _fill(self, q: Array, values: Array) -> None:
+    def _fill(self, q: Array, values: Array, *, keep_branch: bool) -> None:
         """Find poses that a march left unsolved, by walks from home, then from solved neighbours, in place."""
         missing = np.isnan(q[..., 0])
-        q[missing] = _reached(self._walked(np.tile(self._home, (int(missing.sum()), 1)), values[missing]))
+        home = np.tile(self._home, (int(missing.sum()), 1))
+        q[missing] = self._reached(home, values[missing], keep_branch=keep_branch)[0]
         untried = np.isnan(q[..., 0])
         while untried.any():
             starts = _solved_neighbours(q)
             frontier = untried & np.isfinite(starts[..., 0])
             if not frontier.any():  # islands
-                if not self._robot.closures:
+                if not self._robot.has_loops:
                     q[untried] = self._damped(
                         np.tile(self._home, (int(untried.sum()), 1)), values[untried], home_too=False
                     )
                 return
             untried &= ~frontier
             found = starts[frontier]
-            self._solve_each(found, values[frontier])
+            self._solve_each(found, values[frontier], keep_branch=keep_branch)
             q[frontier] = found
 
     def _given_numbers(self, values: Array) -> Array:
@@ -294,12 +308,15 @@ class Continuation:
         """Check configurations, tool values included; unsolved ones become NaN in a copy."""
         n, program = len(q), self._checks.compiled.program
         residual, broken = np.empty(n), np.empty(n, dtype=np.uint32)
+        branch = np.empty(n, dtype=np.int64) if "branch" in program.outputs else None
         transforms = np.empty((n, 4, 4)) if placed and "transform" in program.outputs else None
         room = np.empty((min(n, _AT_ONCE), len(program.results)))
         for first in range(0, n, _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             outputs = program.split(self._checks(q[part], room[: len(q[part])]))
             broken[part] = outputs["broken"]
+            if branch is not None:
+                branch[part] = np.nan_to_num(outputs["branch"]).astype(np.int64) ^ self._home_branch
             if values is not None and self._tool:
                 residual[part] = self._residuals_of_placed(q[part], values[part], outputs)
             else:
@@ -312,7 +329,9 @@ class Continuation:
             q[unsolved], residual[unsolved], broken[unsolved] = np.nan, np.nan, 1
             if transforms is not None:
                 transforms[unsolved] = np.nan
-        return Solution(q, residual, broken, transforms)
+            if branch is not None:
+                branch[unsolved] = 0
+        return Solution(q, residual, broken, transforms, branch)
 
     def _residuals_of_placed(self, q: Matrix, values: Matrix, outputs: dict[str, Array]) -> Vector:
         """Return the same as :meth:`_residuals`, from the checks if only the tool's position is given."""
@@ -324,25 +343,38 @@ class Continuation:
         return residuals
 
 
-def _reached(walked: Walked) -> Matrix:
-    """Return the poses at the targets of walks, NaN where these were not reached."""
-    q: Matrix = np.where(walked.status[:, None] == REACHED, walked.q, np.nan)
-    return q
+def _connected(same: Mask, first: tuple[int, ...]) -> Mask:
+    """Return which points of a march, outward from `first` dimension by dimension, follow only points on the branch."""
+    reached = np.array(same)
+    for dimension in range(same.ndim):
+        part: tuple[Any, ...] = (*[slice(None)] * (dimension + 1), *first[dimension + 1 :])
+        line, start = reached[part], first[dimension]
+        line[..., start:] = np.logical_and.accumulate(line[..., start:], axis=-1)
+        line[..., start::-1] = np.logical_and.accumulate(line[..., start::-1], axis=-1)
+    return reached
 
 
 def _solved_neighbours(q: Array) -> Array:
     """Return for each point of a grid a solved neighbour along some dimension, or NaN."""
     neighbours = np.full_like(q, np.nan)
+    for others in _neighbours(q):
+        neighbours = np.where(np.isfinite(neighbours), neighbours, others)
+    return neighbours
+
+
+def _neighbours(q: Array) -> Iterator[Array]:
+    """Yield for each direction of a grid the neighbours of all points there, NaN at the end."""
     for dimension in range(q.ndim - 1):
         size = q.shape[dimension]
         near, far = slice(0, size - 1), slice(1, size)
         for target, source in ((far, near), (near, far)):
             index: list[slice] = [slice(None)] * q.ndim
-            index[dimension] = target
-            into = neighbours[tuple(index)]
+            neighbours = np.full_like(q, np.nan)
             index[dimension] = source
-            into[...] = np.where(np.isfinite(into), into, q[tuple(index)])
-    return neighbours
+            others = q[tuple(index)]
+            index[dimension] = target
+            neighbours[tuple(index)] = others
+            yield neighbours
 
 
 @lru_cache(maxsize=64)  # parts of a grid share axes

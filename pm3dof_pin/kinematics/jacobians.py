@@ -20,11 +20,10 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import frozen, listed, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
+from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
-from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near_home
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
 from pm3dof_pin.programs import cache, geometry

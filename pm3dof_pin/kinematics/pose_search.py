@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.kinematics.careful import close_all
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
+from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.typing import Array, Matrix, Vector
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.continuation import Continuation
-    from pm3dof_pin.kinematics.robot import Robot
 
 _ROUNDING = 1e-9
 _FURTHER_STARTS = 16  # for the inverse kinematics of a serial arm
+_WAYPOINTS = 1000
+_WIDTH = 3.0  # of the waypoint lattice on both sides of home, unless joints end earlier [characteristic lengths]
 
 
 class Solution(NamedTuple):
@@ -30,28 +30,49 @@ class Solution(NamedTuple):
     broken_limits: NDArray[np.uint32] | None = None
     #: placements of the tool, shape=(n, 4, 4); None also for a mechanism without a tool frame, and after a march
     transforms: Array | None = None
+    #: branch numbers, shape=(n,), see :mod:`~pm3dof_pin.kinematics.branches`; None if unknown
+    branch: NDArray[np.int64] | None = None
+
+
+class Solver(Protocol):
+    """What finds poses by walks: compiled programs, or the reference engine."""
+
+    def walk(
+        self, targets: Matrix, starts: Matrix | None = None, *, home_too: bool = True, keep_branch: bool = True
+    ) -> Solution:
+        """Find the poses at targets, each by its own walk from its start, by default home.
+
+        A walk from open loops, or of a serial arm, is tried from home as well if `home_too`. A walk stays on the
+        branch of its start, or if `keep_branch` is false ends only where the coordinates are singular.
+        """
+
+    @property
+    def lattice(self) -> tuple[Matrix, Matrix]:
+        """Values of the coordinates, shape=(m, number of coordinates), and poses, shape=(m, nq), all over the reach."""
 
 
 def find_poses(
-    robot: Robot,
+    robot: PlacedMechanism,
     coordinates: tuple[Coordinate, ...],
     targets: Matrix,
     guesses: Matrix | None,
-    continuation: Continuation | None,
+    solver: Solver,
+    *,
+    keep_branch: bool = True,
 ) -> Solution:
     """Find poses at targets, shape=(n, number of coordinates), from guesses, shape=(n, nq), or by default from home.
 
-    By programs, or by Pinocchio if there is no continuation. Without a guess, further starts are tried.
+    Without a guess, further starts are tried.
     """
     targets = _within_arms_length(robot, coordinates, targets)
     if guesses is not None:
-        return _walked(robot, coordinates, targets, guesses, continuation)
-    found = _walked(robot, coordinates, targets, None, continuation)
+        return solver.walk(targets, guesses, keep_branch=keep_branch)
+    found = solver.walk(targets, keep_branch=keep_branch)
     missing = np.isnan(found.q).any(axis=1) & np.isfinite(targets).all(axis=1)
-    for starts in _further_starts(robot, coordinates, targets) if missing.any() else ():
+    for starts in _further_starts(robot, coordinates, targets, solver) if missing.any() else ():
         failed = np.flatnonzero(missing & np.isnan(found.q[:, 0]))
         if failed.size:
-            others = _walked(robot, coordinates, targets[failed], starts[failed], continuation, home_too=False)
+            others = solver.walk(targets[failed], starts[failed], home_too=False, keep_branch=keep_branch)
             known: list[tuple[Any, Any]] = list(zip(found, others, strict=True))
             for values, other in known:
                 if values is not None:
@@ -61,7 +82,30 @@ def find_poses(
     return found if turned is found.q else found._replace(q=turned, broken_limits=None)
 
 
-def _within_arms_length(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Matrix:
+def waypoint_lattice(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], home: Vector) -> Grid:
+    """Return a lattice of about a thousand values around home, along each coordinate as far as its joint goes."""
+    size, axes = max(round(_WAYPOINTS ** (1.0 / len(coordinates))), 3), {}
+    for coordinate, middle, unit in zip(coordinates, home, coordinate_scales(robot, coordinates), strict=True):
+        width = unit * (_WIDTH if coordinate.unit == "m" else np.pi)
+        # declared ranges of the tool are for maps, and do not bound the reachable set
+        lower, upper = (-np.inf, np.inf) if coordinate.joint is None else robot.range_of(coordinate)
+        first = lower if np.isfinite(lower) else middle - width
+        last = upper if np.isfinite(upper) else middle + width
+        axes[coordinate.name] = np.linspace(first, last, size)
+    return Grid(coordinates, axes, {})
+
+
+def nearest_poses(
+    robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], values: Matrix, q: Matrix, targets: Matrix
+) -> Matrix:
+    """Return the pose q whose coordinates are nearest to each target, shape=(n, nq); NaN if there is none."""
+    if not len(q):
+        return np.full((len(targets), robot.model.nq), np.nan)
+    units = coordinate_scales(robot, coordinates)
+    return np.array([q[np.abs((values - target) / units).max(axis=1).argmin()] for target in targets])
+
+
+def _within_arms_length(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Matrix:
     """Return the targets, NaN where their tool positions are farther from an arm's first joint than the arm is long."""
     columns = [index for axis in "xyz" for index, coordinate in enumerate(coordinates) if coordinate.tool == axis]
     if robot.arm_reach is None or len(columns) < len("xyz"):
@@ -71,30 +115,16 @@ def _within_arms_length(robot: Robot, coordinates: tuple[Coordinate, ...], targe
     return np.where((distances > radius * (1.0 + _ROUNDING))[:, None], np.nan, targets)
 
 
-def _walked(
-    robot: Robot,
-    coordinates: tuple[Coordinate, ...],
-    targets: Matrix,
-    starts: Matrix | None,
-    continuation: Continuation | None,
-    *,
-    home_too: bool = True,
-) -> Solution:
-    if continuation is not None:
-        return continuation.walk(targets, starts, home_too=home_too)
-    given = np.tile(robot.home.q, (len(targets), 1)) if starts is None else starts
-    return Solution(close_all(robot, coordinates, targets, given))
-
-
-def _further_starts(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Iterator[Matrix]:
+def _further_starts(
+    robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], targets: Matrix, solver: Solver
+) -> Iterator[Matrix]:
     """Yield further starts of walks to targets, for targets not reached from home, shape=(n, nq).
 
     The inverse kinematics of a serial arm has many, distant solutions. The reachable set of a machine with loops may
     have holes, which walks must go around.
     """
-    if robot.closures:
-        if (continuation := robot.continuation(coordinates)) is not None:
-            yield continuation.waypoints(targets)
+    if robot.has_loops:
+        yield nearest_poses(robot, coordinates, *solver.lattice, targets)
     elif any(coordinate.tool is not None for coordinate in coordinates):
         shape = (_FURTHER_STARTS, robot.model.nv)
         for motion in np.random.default_rng(0).uniform(-np.pi, np.pi, shape) * robot.velocity_scale:
@@ -102,7 +132,7 @@ def _further_starts(robot: Robot, coordinates: tuple[Coordinate, ...], targets: 
             yield np.broadcast_to(start, (len(targets), robot.model.nq))
 
 
-def _turned_into_limits(robot: Robot, coordinates: tuple[Coordinate, ...], q: Matrix) -> Matrix:
+def _turned_into_limits(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], q: Matrix) -> Matrix:
     """Turn joints of a serial arm by whole turns into their limits, where possible."""
     if robot.has_loops or any(coordinate.tool is None for coordinate in coordinates):
         return q

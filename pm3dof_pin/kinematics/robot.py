@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import finite_array, frozen, real_array, require_choice, require_count
 from pm3dof_pin.description.closures import LoopClosure
@@ -21,34 +22,31 @@ from pm3dof_pin.exceptions import (
     ConvergenceError,
     DescriptionError,
     InvalidValueError,
+    PM3DofError,
     ProgramError,
     ShapeError,
     UnreachablePoseError,
 )
-from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
-from pm3dof_pin.kinematics.careful import assemble_at
+from pm3dof_pin.kinematics.assembly import assemble
+from pm3dof_pin.kinematics.branches import branches_of, start_of
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
-from pm3dof_pin.kinematics.pose_search import Solution, find_poses
-from pm3dof_pin.kinematics.poses import REACH, Poses
+from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
+from pm3dof_pin.kinematics.pose_search import Solution, Solver, find_poses
+from pm3dof_pin.kinematics.reference import Reference, assemble_at
 from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales, unit_slip
-from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.mechanism.configuration import LIMIT_TOLERANCE, Configuration
 from pm3dof_pin.mechanism.robot_description import read_source
 from pm3dof_pin.mechanism.tool_components import tool_components
-from pm3dof_pin.typing import Array, Engine, Matrix, OnFailure, Vector
+from pm3dof_pin.typing import Array, Branch, Engine, Mask, Matrix, OnFailure, Vector
 
 if TYPE_CHECKING:
     import yourdfpy
 
-    from pm3dof_pin.kinematics.closing_programs import ProgramSource
     from pm3dof_pin.kinematics.continuation import Continuation
 
 _logger = logging.getLogger(__name__)
 
 _GREATEST = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
-_HOME = "home"
 _MANY = 32  # poses that justify a program
 _CONTRADICTION = 1e-6  # least difference of contradicting commands of redundant drives [rad, characteristic lengths]
 
@@ -65,7 +63,200 @@ class LoadOptions(TypedDict, total=False):
     threads: int | None
 
 
-class Robot(Mechanism):
+REACH = 1
+"""Bit of :attr:`Poses.broken_limits` for an unsolved pose; limit group k has bit k + 1."""
+
+_KNOWN = ("residual", "broken_limits", "transforms", "branch")  # what the solver may provide besides q
+
+
+class Poses:
+    """A batch of poses, of any shape. Read-only.
+
+    Returned by :meth:`Robot.solve <pm3dof_pin.kinematics.robot.Robot.solve>` and similar methods. An unsolved pose is
+    NaN throughout. Batches have a length and are indexed like arrays. A single pose, of shape (), is like a batch of
+    one: its length is 1, and `poses[0]` is the pose itself.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> robot = pm.load("pm3dof")
+        >>> poses = robot.solve(robot.grid(theta_x=(-0.2, 1.0, 5), z_e=0.5))
+        >>> poses.commands.shape
+        (5, 3)
+        >>> poses.within_limits
+        array([ True,  True,  True,  True, False])
+
+    Args:
+        robot: the robot.
+        q: joint configurations with closed loops, NaN for unsolved poses, shape=(..., nq) [m, rad].
+        residual: greatest closure error, shape=(...) [m, rad]; computed by Pinocchio if not given.
+        broken_limits: bit masks, shape=(...); computed by Pinocchio if not given.
+        transforms: placements of the tool, shape=(..., 4, 4); computed by Pinocchio if not given.
+        branch: branch numbers, shape=(...); computed by Pinocchio if not given.
+
+    Attributes:
+        robot: the robot.
+        q: joint configurations, shape=(..., nq) [m, rad].
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        q: Array,
+        residual: Array | None = None,
+        broken_limits: NDArray[np.uint32] | None = None,
+        transforms: Array | None = None,
+        branch: NDArray[np.int64] | None = None,
+    ) -> None:
+        self.robot = robot
+        self.q: Array = _kept(np.asarray(q, dtype=float))
+        for name, values in zip(_KNOWN, (residual, broken_limits, transforms, branch), strict=True):
+            if values is not None:
+                self.__dict__[name] = _kept(np.asarray(values))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot, np.array(self.q))
+
+    def __repr__(self) -> str:
+        return f"Poses({self.robot.name}, shape={self.shape}, {int(self.solved.sum())} solved)"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the batch."""
+        return self.q.shape[:-1]
+
+    def __len__(self) -> int:
+        """Return the number of poses along the first dimension; 1 for a single pose."""
+        return self.shape[0] if self.shape else 1
+
+    def __iter__(self) -> Iterator[Configuration]:
+        """Iterate over the configurations of a one-dimensional batch, or of a single pose."""
+        batch = self if self.shape else self.reshape(1)
+        return (batch.configuration(index) for index in range(len(batch)))
+
+    def __getitem__(self, index: Any) -> Poses:
+        """Return part of the batch; the index is over the batch dimensions. A single pose is like a batch of one."""
+        batch = self if self.shape or index is Ellipsis or index == () else self.reshape(1)
+        return batch._mapped(lambda values: values[index])
+
+    def reshape(self, *shape: int) -> Poses:
+        """Return the same poses in another shape."""
+        dimensions = len(self.shape)
+        return self._mapped(lambda values: values.reshape((*shape, *values.shape[dimensions:])))
+
+    def configuration(self, index: int | tuple[int, ...] = ()) -> Configuration:
+        """Return the configuration at an index.
+
+        Raises:
+            InvalidValueError: the pose was not solved.
+        """
+        return self.robot.configuration(self.q[index])
+
+    @cached_property
+    def solved(self) -> Mask:
+        """Whether a configuration with closed loops was found, shape=(...)."""
+        if "broken_limits" in self.__dict__:
+            return frozen(np.asarray((self.broken_limits & REACH) == 0))
+        return frozen(np.asarray(np.isfinite(self.q).all(axis=-1)))
+
+    @cached_property
+    def coordinates(self) -> Array:
+        """Values of the robot's coordinates, shape=(..., number of coordinates) [m, rad]."""
+        return frozen(self.robot.read(self.robot.coordinates, self.q, self._transforms_if_needed))
+
+    @cached_property
+    def commands(self) -> Array:
+        """Counter readings of the drives, shape=(..., number of commands) [m, rad]."""
+        return frozen(self.robot.read(self.robot.command_coordinates, self.q))
+
+    @cached_property
+    def transforms(self) -> Array:
+        """Homogeneous transforms of the tool frame in the base, shape=(..., 4, 4).
+
+        Raises:
+            DescriptionError: the robot has no tool frame.
+        """
+        model, data, frame = self.robot.model, self.robot.model.createData(), self.robot.tool_frame_id
+        if "residual" in self.__dict__:  # solved by programs, which can also place the tool
+            return self.robot.at(self.q).transforms
+        transforms = np.full((*self.shape, 4, 4), np.nan)
+        for index in map(tuple, np.argwhere(self.solved)):
+            pin.forwardKinematics(model, data, self.q[index])
+            transforms[index] = pin.updateFramePlacement(model, data, frame).homogeneous
+        return frozen(transforms)
+
+    @property
+    def positions(self) -> Array:
+        """Positions of the tool point, shape=(..., 3) [m]."""
+        return self.transforms[..., :3, 3]
+
+    @property
+    def rotations(self) -> Array:
+        """Orientations of the tool, shape=(..., 3, 3)."""
+        return self.transforms[..., :3, :3]
+
+    @cached_property
+    def residual(self) -> Array:
+        """Greatest absolute entry of the closure error, shape=(...) [m, rad]."""
+        residual = np.full(self.shape, np.nan)
+        for index in map(tuple, np.argwhere(self.solved)):
+            residual[index] = np.abs(self.robot.loop_kinematics.closures(self.q[index])[0]).max(initial=0.0)
+        return frozen(residual)
+
+    @cached_property
+    def branch(self) -> NDArray[np.int64]:
+        """Branch of each pose, shape=(...): 0 for home's, otherwise bits that say which determinants differ in sign.
+
+        Poses on different branches are separated by singular ones, see :mod:`pm3dof_pin.kinematics.branches`. 0 for
+        unsolved poses, and for serial arms, which have no branches.
+
+        Raises:
+            ConvergenceError: the loops do not close at home.
+            SingularConfigurationError: several branches meet at home.
+        """
+        numbers = np.zeros(self.shape, dtype=np.int64)
+        for index in map(tuple, np.argwhere(self.solved)) if self.robot.has_loops else ():
+            numbers[index] = branches_of(self.robot).number(self.q[index])
+        return frozen(numbers)
+
+    @cached_property
+    def broken_limits(self) -> NDArray[np.uint32]:
+        """Limits that a pose breaks: a bit mask of :data:`REACH` and the robot's limit groups, shape=(...)."""
+        robot = self.robot
+        flags = np.where(self.solved, 0, REACH).astype(np.uint32)
+        outside = (self.q < robot.lower_limits - LIMIT_TOLERANCE) | (self.q > robot.upper_limits + LIMIT_TOLERANCE)
+        for bit, group in enumerate(robot.limit_groups, start=1):
+            for name in group.joints:
+                joint = robot.model.joints[robot.model.getJointId(name)]
+                broken = outside[..., joint.idx_q : joint.idx_q + joint.nq].any(axis=-1)
+                flags |= np.where(broken, 1 << bit, 0).astype(np.uint32)
+            for index in group.closures:
+                flags |= np.where(self._beyond_swing(index), 1 << bit, 0).astype(np.uint32)
+        return frozen(flags)
+
+    @property
+    def within_limits(self) -> Mask:
+        """Whether a pose is solved and breaks no joint or closure limit, shape=(...)."""
+        return np.asarray(self.broken_limits == 0)
+
+    def _beyond_swing(self, closure: int) -> Mask:
+        beyond = np.zeros(self.shape, dtype=bool)
+        limit = self.robot.closures[closure].swing_limit
+        if limit is None:
+            raise InvalidValueError("limit group", self.robot.closures[closure], "a closure with a swing limit")
+        for index in map(tuple, np.argwhere(self.solved)):
+            beyond[index] = self.configuration(index).swing(closure) > limit + LIMIT_TOLERANCE
+        return beyond
+
+    def _mapped(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Poses:
+        known = (frozen(np.asarray(change(self.__dict__[n]))) if n in self.__dict__ else None for n in _KNOWN)
+        return Poses(self.robot, frozen(change(self.q)), *known)
+
+    @property
+    def _transforms_if_needed(self) -> Array | None:
+        return self.transforms if any(c.tool is not None for c in self.robot.coordinates) else None
+
+
+class Robot(PlacedMechanism):
     """A mechanism with solvers: finds poses from coordinates, commands or placements of the tool.
 
     Poses are purely geometric: joint limits are not enforced; :attr:`Poses.broken_limits` reports violations.
@@ -186,89 +377,9 @@ class Robot(Mechanism):
         return self.replace(engine=engine, threads=threads)
 
     @cached_property
-    def home(self) -> Configuration:
-        """The named configuration "home" or else all zeros, with its loops closed if possible nearby.
-
-        In an open tree, joints whose limits exclude zero are put in the middle of their range, or at its end.
-        The actuated joints keep their positions if the loops close that way. If no closed configuration is found, it is
-        the described one: check its :attr:`Configuration.closure_residual`.
-        """
-        named = self.named_configurations.get(_HOME)
-        described = self.configuration(self._zeros if named is None else named)
-        if described.closure_residual <= CLOSURE_TOLERANCE:
-            return described
-        drives = {name: described.joint_position(name) for name in self.actuated_joints}
-        for joints in (drives, {}):
-            result = assemble(self, described, joints=joints)
-            if result.converged:
-                return result.configuration
-        return described
-
-    @property
-    def _zeros(self) -> Vector:
-        q = np.array(pin.neutral(self.model))
-        lower, upper = self.lower_limits, self.upper_limits
-        for joint in () if self.closures else list(self.model.joints)[1:]:
-            ends = np.array([lower[joint.idx_q], upper[joint.idx_q]])
-            if joint.nq == 1 and not ends[0] <= 0.0 <= ends[1]:
-                q[joint.idx_q] = np.mean(ends) if np.isfinite(ends).all() else ends[np.isfinite(ends)][0]
-        return q
-
-    @cached_property
-    def program_source(self) -> ProgramSource:
-        """Source of the programs of this robot and its variants."""
-        from pm3dof_pin.kinematics.closing_programs import ProgramSource
-
-        return ProgramSource(self)
-
-    @cached_property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        """The independent numbers that place the tool.
-
-        In order of precedence: those declared by the description; the tool's placement if it has six degrees of
-        freedom; if there are more drives than degrees of freedom, as many components of the tool's placement as it has
-        degrees of freedom; the commands.
-        """
-        if self.declared_coordinates:
-            return self.declared_coordinates
-        return self._tool_coordinates() or self.command_coordinates
-
-    @cached_property
-    def command_coordinates(self) -> tuple[Coordinate, ...]:
-        """The commands, as coordinates."""
-        return tuple(
-            Coordinate(command.name, command.unit, joint=command.joint, offset=command.offset, scale=command.scale)
-            for command in self.commands
-        )
-
-    @cached_property
     def home_coordinates(self) -> Vector:
         """Values of the coordinates at home, shape=(number of coordinates,) [m, rad]."""
         return self.at([self.home.q])[0].coordinates
-
-    def configuration(self, q: ArrayLike) -> Configuration:
-        """Return the read-only :class:`Configuration` at q, shape=(nq,) [m, rad]; its loops need not be closed."""
-        return Configuration(self, q)
-
-    def coordinate(self, name: str) -> Coordinate:
-        """Return a coordinate by name; InvalidValueError if there is none of this name."""
-        for coordinate in self.coordinates:
-            if coordinate.name == name:
-                return coordinate
-        raise InvalidValueError("coordinate", name, f"one of {', '.join(c.name for c in self.coordinates)}")
-
-    def range_of(self, coordinate: Coordinate) -> tuple[float, float]:
-        """Return the declared range of a coordinate, or that of its joint; infinite if there is none [m, rad]."""
-        lower, upper = -np.inf, np.inf
-        if coordinate.joint is not None:
-            joint = self.single_joint(coordinate.joint)
-            ends = np.array([self.lower_limits[joint.q_index], self.upper_limits[joint.q_index]])
-            if not joint.is_continuous:
-                lower, upper = np.sort(coordinate.scale * ends + coordinate.offset)
-        return (
-            float(lower) if coordinate.lower is None else coordinate.lower,
-            float(upper) if coordinate.upper is None else coordinate.upper,
-        )
 
     def grid(self, **values: float | tuple[float, float, int]) -> Grid:
         """Return a product grid over coordinates; those not named stay at home.
@@ -315,7 +426,8 @@ class Robot(Mechanism):
         from pm3dof_pin.kinematics.closing_programs import program_source
 
         try:
-            outputs = program_source(self).checks(self).named(rows)
+            checks = program_source(self).checks(self)
+            outputs = checks.named(rows)
         except ProgramError as error:
             _logger.info("%s: poses are placed without programs: %s", self.name, error)
             return Poses(self, positions)
@@ -324,7 +436,13 @@ class Robot(Mechanism):
         transforms = outputs.get("transform")
         if transforms is not None:
             transforms[missing] = np.nan
-        return Poses(self, rows, outputs["residual"], broken_limits, transforms).reshape(*positions.shape[:-1])
+        branch: NDArray[np.int64] | None = None
+        if "branch" in outputs:
+            branch = np.where(missing, 0, outputs["branch"]).astype(np.int64)
+            if self.prototype is not self:
+                with suppress(PM3DofError):  # without a home of its own, its prototype's is the reference
+                    branch ^= np.int64(checks.named(start_of(self)[None])["branch"][0])
+        return Poses(self, rows, outputs["residual"], broken_limits, transforms, branch).reshape(*positions.shape[:-1])
 
     def solve(
         self,
@@ -332,27 +450,35 @@ class Robot(Mechanism):
         *,
         guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
+        branches: Branch = "home",
         engine: Engine | None = None,
         threads: int | None = None,
     ) -> Poses:
         """Find the poses at values of the coordinates.
 
-        Without a guess, a pose is found by continuation from home, which fixes the assembly mode. A serial arm has many
-        solutions, and singular poses on the way to them: its poses are also tried from further starts.
+        Without a guess, a pose is found by continuation from home. Poses beyond a serial or parallel singularity are on
+        another branch and out of reach, see :mod:`pm3dof_pin.kinematics.branches`; a guess there, or a configuration
+        "home" of the description, makes that branch the one that is reached. A serial arm has many solutions, and
+        singular poses on the way to them: its poses are also tried from further starts.
 
         Args:
             values: a grid, or values in order of the coordinates, shape=(..., number of coordinates) [m, rad].
             guess: configurations to start from, shape=(nq,) or (..., nq).
             on_failure: "raise", or "nan" for unreachable poses.
+            branches: "home", that of home or of the guess; or "all", whatever the coordinates alone determine without
+                passing a singularity of their own: poses beyond those of the drives are found too, and
+                :attr:`Poses.branch` tells them apart.
             engine: instead of the robot's, see :meth:`with_engine`.
             threads: instead of the robot's.
 
         Raises:
             UnreachablePoseError: no closed configuration was found for a pose, and `on_failure` is "raise".
+            ConvergenceError: the loops do not close at home.
+            SingularConfigurationError: several branches meet at home.
             InvalidValueError: values or guesses have the wrong shape, or are not finite and `on_failure` is "raise"; or
                 all values of a coordinate look like millimetres or degrees, being far out of its range.
         """
-        return self._solutions(self.coordinates, "coordinates", values, guess, on_failure, engine, threads)
+        return self._solutions(self.coordinates, "coordinates", values, guess, on_failure, engine, threads, branches)
 
     def forward(
         self,
@@ -360,6 +486,7 @@ class Robot(Mechanism):
         *,
         guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
+        branches: Branch = "home",
         engine: Engine | None = None,
     ) -> Poses:
         """Find the poses at commands, shape=(..., number of commands) [m, rad], as :meth:`solve` at coordinates.
@@ -368,7 +495,9 @@ class Robot(Mechanism):
         degrees of freedom, independent ones place the mechanism, and the others must agree within 1e-6 rad or
         characteristic lengths.
         """
-        return self._solutions(self.command_coordinates, "commands", commands, guess, on_failure, engine)
+        return self._solutions(
+            self.command_coordinates, "commands", commands, guess, on_failure, engine, None, branches
+        )
 
     def reach(
         self,
@@ -376,6 +505,7 @@ class Robot(Mechanism):
         *,
         guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
+        branches: Branch = "home",
         engine: Engine | None = None,
     ) -> Poses:
         """Find poses that bring the tool to placements, as :meth:`solve` to coordinates.
@@ -391,7 +521,9 @@ class Robot(Mechanism):
         else:
             values = array
         components = TOOL_COMPONENTS if array.shape[-2:] == (4, 4) else TOOL_COMPONENTS[:3]
-        return self._solutions(tool_coordinates(components), "tool placements", values, guess, on_failure, engine)
+        return self._solutions(
+            tool_coordinates(components), "tool placements", values, guess, on_failure, engine, None, branches
+        )
 
     def assemble(
         self, guess: Configuration | ArrayLike | None = None, *, joints: Mapping[str, ArrayLike] | None = None
@@ -417,23 +549,6 @@ class Robot(Mechanism):
             raise ConvergenceError("closing the loops", result.residual, "m or rad", result.steps, advice)
         return result.configuration
 
-    def read(self, coordinates: tuple[Coordinate, ...], q: Array, transforms: Array | None = None) -> Array:
-        """Return the coordinates at q, shape=(..., nq), as shape=(..., number of coordinates) [m, rad].
-
-        Placements of the tool, shape=(..., 4, 4), are needed if a coordinate is one of its components.
-        """
-        tool = None if transforms is None else tool_components(transforms)
-        columns = []
-        for coordinate in coordinates:
-            if coordinate.joint is None:
-                assert coordinate.tool is not None
-                assert tool is not None
-                columns.append(tool[..., TOOL_COMPONENTS.index(coordinate.tool)])
-                continue
-            value = self.single_joint(coordinate.joint).coordinate(q)
-            columns.append(coordinate.scale * value + coordinate.offset)
-        return np.stack(columns, axis=-1) if columns else np.empty((*q.shape[:-1], 0))
-
     def _solutions(
         self,
         coordinates: tuple[Coordinate, ...],
@@ -442,9 +557,11 @@ class Robot(Mechanism):
         guess: Configuration | ArrayLike | None,
         on_failure: OnFailure,
         engine: Engine | None,
-        threads: int | None = None,
+        threads: int | None,
+        branches: Branch,
     ) -> Poses:
         require_choice("on_failure", on_failure, OnFailure)
+        require_choice("branches", branches, Branch)
         engine, threads = self._engine(engine), self.threads if threads is None else threads
         if threads is not None:
             require_count("threads", threads)
@@ -463,24 +580,26 @@ class Robot(Mechanism):
         shape = targets.shape[:-1]
         starts = None if guess is None else self._starts(guess, shape)
         rows = targets.reshape(math.prod(shape), len(coordinates))
-        placing = self._placing_drives if coordinates == self.command_coordinates else list(range(len(coordinates)))
+        placing = self.placing_drives if coordinates == self.command_coordinates else list(range(len(coordinates)))
         independent = tuple(coordinates[k] for k in placing)
         continuation = self.continuation(independent) if engine == "program" else None
+        keep = branches == "home"
         if continuation is not None and isinstance(values, Grid) and starts is None:
-            found = continuation.march(values, threads)
+            found = continuation.march(values, threads, keep_branch=keep)
         else:
-            found = find_poses(self, independent, rows[:, placing], starts, continuation)
+            solver = self._finder(independent, engine)
+            found = find_poses(self, independent, rows[:, placing], starts, solver, keep_branch=keep)
         contradictions = None
         if len(placing) < len(coordinates):
             contradictions = self._contradictions(found.q, rows)
-            off = np.abs(contradictions / coordinate_scales(self, coordinates)).max(axis=1) > _CONTRADICTION
-            found = Solution(np.where(off[:, None], np.nan, found.q))
+            found = Solution(self._agreeing(found.q, rows))
         failed = np.flatnonzero(np.isnan(found.q[:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
             if contradictions is not None and np.isfinite(contradictions[failed[0]]).all():
                 raise self._contradicting(rows[failed[0]], contradictions[failed[0]], index)
-            raise self._unreachable(independent, rows[failed[0], placing], index)
+            start = start_of(self) if starts is None else starts[failed[0]]
+            raise self._unreachable(independent, rows[failed[0], placing], start, index)
         known: list[Any] = [values if values is None else frozen(values) for values in found]
         return Poses(self, *known).reshape(*shape)
 
@@ -506,42 +625,17 @@ class Robot(Mechanism):
             raise ShapeError("guess", starts.shape, f"({nq},) or {(*shape, nq)}")
         return np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
 
-    def _unreachable(self, coordinates: tuple[Coordinate, ...], target: Vector, which: str) -> UnreachablePoseError:
-        """Return the error for a pose that was not found, with the residual of damped steps from home."""
-        result = assemble_at(self, coordinates, target, self.home.q)
+    def _unreachable(
+        self, coordinates: tuple[Coordinate, ...], target: Vector, start: Vector, which: str
+    ) -> UnreachablePoseError:
+        """Return the error for a pose that was not found, with the residual of damped steps from the start."""
+        result = assemble_at(self, coordinates, target, start)
         pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, target, strict=True))
         reason = f"residual {result.residual:.3e} m or rad"
-        if result.converged:
-            reason = "the loops close there only beyond a singular pose or in another assembly mode"
+        if result.converged and self.has_loops:
+            reason = self._reference(coordinates).obstacle(start, target)
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
         return UnreachablePoseError(message, result.residual, reason)
-
-    @cached_property
-    def arm_reach(self) -> tuple[Vector, float] | None:
-        """Sphere that the tool of an open chain of hinges cannot leave, its centre and radius [m]; None for others."""
-        if self.closures or self.tool_frame is None:
-            return None
-        model, tool = self.model, self.model.frames[self.tool_frame_id]
-        chain = list(model.supports[tool.parentJoint])[1:]
-        if not chain or not all(model.joints[index].shortname().startswith("JointModelR") for index in chain):
-            return None
-        first, *links = (model.jointPlacements[index].translation for index in chain)
-        lengths = [float(np.linalg.norm(link)) for link in (*links, tool.placement.translation)]
-        return frozen(np.array(first)), sum(lengths)
-
-    @cached_property
-    def _placing_drives(self) -> list[int]:
-        """The drives that place the mechanism: all of them, unless there are more than degrees of freedom."""
-        first = self.prototype
-        if first is not self and (first.closures, first.actuated_joints) == (self.closures, self.actuated_joints):
-            return first._placing_drives
-        if self.has_loops:
-            try:
-                if drives := independent_drives(generic_configuration(self.home)):
-                    return drives
-            except (ConvergenceError, InvalidValueError):
-                pass  # the loops do not close: the solvers report it
-        return list(range(len(self.commands)))
 
     def _contradictions(self, q: Matrix, commands: Matrix) -> Matrix:
         """Return the differences of the commands at q from those given, shape=(n, number of commands) [m, rad]."""
@@ -551,8 +645,14 @@ class Robot(Mechanism):
         differences[:, angles] -= turns[angles] * np.round(differences[:, angles] / turns[angles])
         return differences
 
+    def _agreeing(self, q: Matrix, commands: Matrix) -> Matrix:
+        """Return q, NaN where not all commands are those given."""
+        off = np.abs(self._contradictions(q, commands) / coordinate_scales(self, self.command_coordinates)).max(axis=1)
+        agrees: Matrix = np.where((off <= _CONTRADICTION)[:, None], q, np.nan)
+        return agrees
+
     def _contradicting(self, commands: Vector, off: Vector, which: str) -> UnreachablePoseError:
-        coordinates, placing = self.command_coordinates, self._placing_drives
+        coordinates, placing = self.command_coordinates, self.placing_drives
         worst = int(np.argmax(np.abs(off / coordinate_scales(self, coordinates))))
         name, unit = coordinates[worst].name, coordinates[worst].unit
         reason = (
@@ -561,7 +661,7 @@ class Robot(Mechanism):
         )
         return UnreachablePoseError(f"{self.name}: the commands contradict each other{which}: {reason}", None, reason)
 
-    def why_careful(self) -> str | None:
+    def reason_without_programs(self) -> str | None:
         """Return why poses are solved by Pinocchio, one by one; None if they are solved by programs."""
         solver = self._solver(self.coordinates)
         return solver if isinstance(solver, str) else None
@@ -585,26 +685,20 @@ class Robot(Mechanism):
                 self._solvers[coordinates] = str(error)
         return self._solvers[coordinates]
 
+    def _finder(self, coordinates: tuple[Coordinate, ...], engine: Engine) -> Solver:
+        """Return what finds poses at these coordinates."""
+        return (self.continuation(coordinates) if engine == "program" else None) or self._reference(coordinates)
+
+    def _reference(self, coordinates: tuple[Coordinate, ...]) -> Reference:
+        return self._references.setdefault(coordinates, Reference(self, coordinates))
+
+    @cached_property
+    def _references(self) -> dict[tuple[Coordinate, ...], Reference]:
+        return {}
+
     @cached_property
     def _solvers(self) -> dict[tuple[Coordinate, ...], Continuation | str]:
         return {}
-
-    def _tool_coordinates(self) -> tuple[Coordinate, ...]:
-        """Return components of the tool's placement that describe a pose better than the commands, if any."""
-        if self.tool_frame is None:
-            return ()
-        try:
-            usual = generic_configuration(self.home)
-            mobility = instantaneous_mobility(usual)
-            if mobility.tool_mobility == len(TOOL_COMPONENTS):
-                return tool_coordinates(TOOL_COMPONENTS)
-            if not mobility.tool_mobility == mobility.actuator_rank.rank < len(self.commands):
-                return ()
-            components = motion_components(self.home)
-            at_home = len(components) == mobility.tool_mobility
-            return tool_coordinates(components if at_home else motion_components(usual))
-        except (ConvergenceError, InvalidValueError):
-            return ()
 
 
 load = Robot.load
@@ -615,3 +709,8 @@ def _require_placements(matrices: Array) -> None:
     defect = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(initial=0.0)
     if not defect <= 1e-9 or (np.linalg.det(rotation) < 0.0).any() or (matrices[..., 3, :] != [0, 0, 0, 1]).any():
         raise InvalidValueError("placement", matrices, "a rotation matrix, a position and the last row 0 0 0 1")
+
+
+def _kept(values: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only array: the array itself if it is one, or else a copy."""
+    return frozen(values.copy()) if values.flags.writeable else values

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
+from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.mobility import Mobility
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
-from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near_home
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
 from pm3dof_pin.programs import cache, geometry

@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import Coordinate, Unit
+from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
+from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Vector
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.mechanism.mechanism import Mechanism
 
 _TURN = 2.0 * math.pi
 _DEGREE = math.radians(1.0)
@@ -52,7 +49,7 @@ class UnitSlip:
     expected: str  #: what was expected
 
 
-def unit_slip(robot: Robot, coordinate: Coordinate, values: ArrayLike) -> UnitSlip | None:
+def unit_slip(robot: PlacedMechanism, coordinate: Coordinate, values: ArrayLike) -> UnitSlip | None:
     """Judge whether values of a coordinate are in millimetres or degrees, by its range: see :func:`slip_in_range`.
 
     Without a range, lengths are judged by the machine's size, and rotations of the tool by one turn: a batch that goes

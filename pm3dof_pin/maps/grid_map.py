@@ -10,8 +10,7 @@ import numpy as np
 
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.maps.labels import (
     BROKEN_LIMITS,
     coordinate_attributes,

@@ -109,7 +109,7 @@ def robot_space(
         broken_limits=broken_limits,
         box=np.array(box),
         start=home,
-        density=1.0 if robot.engine == "program" and robot.why_careful() is None else _SLOW,
+        density=1.0 if robot.engine == "program" and robot.reason_without_programs() is None else _SLOW,
     )
 
 

@@ -17,11 +17,10 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import PM3DofError, ProgramError
+from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.pose_values import BatchOptions
-from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near_home
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.typing import Array
 

@@ -16,8 +16,7 @@ from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, rot
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.pose_file import UNIT_QUATERNION
-from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO, Instrument
 from pm3dof_pin.measuring.measurements import Measurements, joint_coordinates
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, fitted_sphere, register

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 

@@ -1,4 +1,4 @@
-"""Checks of a closed configuration, as a program: residual, broken limits, tool placement."""
+"""Checks of a closed configuration, as a program: residual, broken limits, branch, tool placement."""
 
 from __future__ import annotations
 
@@ -8,18 +8,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.programs.closing import Task, branch_number
 from pm3dof_pin.programs.graph import Graph, Scalar, Truth, less, select, sqrt
 from pm3dof_pin.programs.loops import closure_residual, swing
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 
 
-def checks_program(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = False) -> Program:
+def checks_program(
+    mechanism: Mechanism, samples: ArrayLike, task: Task | None = None, *, dense: bool = False
+) -> Program:
     """Record the checks of a configuration, at closed samples, shape=(s, nq), see :class:`Tree`.
 
     The input is q. Outputs: `residual`, the largest closure error [m, rad]; `broken`, the sum of 2^(k + 1) over the
     mechanism's limit groups k with a limit exceeded by more than the tolerance in
-    :mod:`pm3dof_pin.programs.geometry`; and, if the mechanism has a tool, its `transform` in the world, shape=(4, 4).
+    :mod:`pm3dof_pin.programs.geometry`; `branch`, if a task is given and there are loops, see
+    :func:`~pm3dof_pin.programs.closing.branch_number`; and, if the mechanism has a tool, its `transform` in the world,
+    shape=(4, 4).
 
     Raises:
         ProgramError: the model has a joint of an unsupported type.
@@ -37,6 +42,8 @@ def checks_program(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = Fa
                 is_broken = is_broken | condition
             broken = broken + select(is_broken, 2.0**bit, 0.0)
     outputs: dict[str, Any] = {"residual": closure_residual(tree), "broken": broken}
+    if task is not None and mechanism.loop_kinematics.row_count:
+        outputs["branch"] = branch_number(tree, task, mechanism.actuated_indices.tolist())
     if mechanism.tool_frame is not None:
         tool = tree.frame(mechanism.tool_frame)
         rows = [[*tool.rotation[i], tool.translation[i]] for i in range(3)]

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, connected, joined, split
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
-from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, typical
+from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, total, typical, zeros
+from pm3dof_pin.programs.elimination import samples as number_samples
 from pm3dof_pin.programs.graph import (
     Graph,
     Number,
     Scalar,
     Truth,
     absolute,
+    atan2,
     cos,
     is_zero,
     less,
@@ -34,13 +39,13 @@ from pm3dof_pin.programs.joints import cross, objects
 from pm3dof_pin.programs.loops import Equations, largest, largest_residual, loop_equations, tool_equations
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
-from pm3dof_pin.typing import Array, Objects
+from pm3dof_pin.typing import Array, Matrix, Objects
 
 _ROUNDING = 1e-12
 """Scaled determinants and pivots up to this are treated as zero."""
 
-_RANK = 1e-6
-"""Least relative singular value of equations that determine their joints."""
+_SIGN = 1e-9
+"""Determinants up to this, relative to the usual one, have no sign."""
 
 _LEAST_DAMPING = 1e-8
 """Least damping of damped steps, relative to the squared error."""
@@ -51,6 +56,7 @@ _LONGEST_STEP = 0.5
 _REGULAR = 1.0 - 2.0**-10
 """Regularity of configurations at least as far from singular ones as usual."""
 
+_MOST_EXPANDED = 6  # rows of a determinant that is expanded; a larger one is eliminated
 _MOST_BITS = 30  # of the mode, which leaves seven digits for the regularity
 
 
@@ -61,6 +67,12 @@ class Task:
     joints: tuple[str, ...] = ()  #: single-DoF joints held at given coordinates
     #: components of the tool's placement with targets, R = Rx(rx) Ry(ry) Rz(rz)
     tool: tuple[ToolComponent, ...] = ()
+
+    @classmethod
+    def of(cls, coordinates: Iterable[Coordinate]) -> Task:
+        """Return the task of prescribing coordinates: joints first, then the tool."""
+        given = tuple(coordinates)
+        return cls(tuple(c.joint for c in given if c.joint is not None), tuple(c.tool for c in given if c.tool))
 
 
 def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> Program:
@@ -87,24 +99,23 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
         InvalidValueError: a held joint has several degrees of freedom, or the samples have the wrong shape.
     """
     given = _given(mechanism, task, samples, ("margin", "jump"), dense)
-    tree, equations, scale, slides, held, (_, jump) = given
+    tree, equations, scale, slides, held, (_, jump), _ = given
     regularity: Scalar = _REGULAR
     mode: Scalar = 0.0
     longest: Scalar = 0.0
-    moves: dict[int, Scalar] = {}
-    for bit, system in enumerate(_systems([_scaled(e, scale, slides) for e in equations], held)):
-        matrix, right = system.reduced(moves)
-        solution, size, is_flipped = _solved(matrix, right)
+    moves: dict[int, Objects] = {}
+    for bit, system in enumerate(_systems(equations, held)):
+        solution, size, is_flipped = system.solved(-system.error[:, None], moves)
         moves |= dict(zip(system.unknowns, solution, strict=True))
         regularity = minimum(regularity, size)
         mode = mode + select(is_flipped, 2.0**bit, 0.0) if bit < _MOST_BITS else mode
-        longest = maximum(longest, largest(solution))
-    velocities = {k: move * (scale if k in slides else 1.0) for k, move in moves.items()}
+        longest = maximum(longest, largest(solution[:, 0]))
+    velocities = {k: move[0] * (scale if k in slides else 1.0) for k, move in moves.items()}
     outputs = {
         "q": tree.step(velocities),
         "margin": regularity - 2.0 * mode,
         "jump": jump + longest,
-        "residual": largest_residual(equations),
+        "residual": largest_residual(given.unscaled),
     }
     return tree.graph.program("closing", outputs)
 
@@ -124,15 +135,17 @@ def damped_closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike,
     """
     nq = mechanism.model.nq
     names = (*(f"best[{k}]" for k in range(nq)), "damping", "cost")
-    tree, equations, scale, slides, held, (*best, damping, cost) = _given(mechanism, task, samples, names, dense)
-    scaled = [_scaled(equation, scale, slides) for equation in equations]
-    error: Scalar = sum((equation.error @ equation.error for equation in scaled), start=0.0)
+    given = _given(mechanism, task, samples, names, dense)
+    tree, equations, scale, slides, held, (*best, damping, cost), _ = given
+    error: Scalar = sum((equation.error @ equation.error for equation in equations), start=0.0)
     is_worse = less(cost, error)
     size = select(is_worse, damping * 100.0, maximum(damping * 0.1, _LEAST_DAMPING))
     moves: dict[int, Scalar] = {}
-    for system in _joined([_system(equation, held) for equation in scaled]):
-        matrix, right = system.reduced({})
-        moves |= dict(zip(system.unknowns, _damped(matrix, right, sqrt(size * error)), strict=True))
+    at_samples = [_at_samples(equation) for equation in equations]
+    for members, unknowns in joined(at_samples, held, range(len(equations))):
+        system = _System.of([equations[k] for k in members], unknowns)
+        move = _damped(system.matrix, -system.error, sqrt(size * error))
+        moves |= dict(zip(unknowns, move, strict=True))
     longest = largest(objects(list(moves.values())))
     share = select(less(_LONGEST_STEP, longest), _LONGEST_STEP / longest, 1.0) if moves else 1.0
     moved = tree.step({k: move * share * (scale if k in slides else 1.0) for k, move in moves.items()})
@@ -141,7 +154,7 @@ def damped_closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike,
         "best": [select(is_worse, old, new) for old, new in zip(best, tree.q, strict=True)],
         "damping": size,
         "cost": minimum(cost, error),
-        "residual": largest_residual(equations),
+        "residual": largest_residual(given.unscaled),
     }
     return tree.graph.program("damped_closing", outputs)
 
@@ -150,11 +163,12 @@ class _Given(NamedTuple):
     """Common to both kinds of steps: the tree, its equations, and the free entries of v."""
 
     tree: Tree
-    equations: list[Equations]
+    equations: list[Equations]  #: scaled
     scale: float
     slides: set[int]
     held: set[int]
     state: list[Number]
+    unscaled: list[Equations]
 
 
 def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[str, ...], dense: bool) -> _Given:
@@ -171,10 +185,12 @@ def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[st
         else:
             q[joint.q_index] = coordinate
     tree = Tree(graph, mechanism, rows, positions=q, dense=dense)
-    equations = loop_equations(tree)
+    unscaled = loop_equations(tree)
     if task.tool:
-        equations.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, rows)))
-    return _Given(tree, equations, mechanism.length_unit, set(tree.slides), {joint.v_index for joint in held}, further)
+        unscaled.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, rows)))
+    equations = [_scaled(tree, equation) for equation in unscaled]
+    slides, indices = set(tree.slides), {joint.v_index for joint in held}
+    return _Given(tree, equations, mechanism.length_unit, slides, indices, further, unscaled)
 
 
 def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: Array) -> dict[str, Number]:
@@ -189,6 +205,42 @@ def regularity_and_mode(margin: Array) -> tuple[Array, Array]:
     return margin + 2.0 * mode, mode
 
 
+def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
+    """Record which branch a closed configuration is on: 0 for that of the first sample.
+
+    Bits say which determinants have another sign than there: those of the systems that the loops form with the
+    quantities of the task given, then those of the drives' rates by the rates of these quantities, shape=(drives,
+    quantities), block by block. `drives` are their entries of v. Between configurations on different branches there is
+    a singular one, serial or parallel, see :mod:`pm3dof_pin.kinematics.branches`.
+    """
+    mechanism = tree.mechanism
+    held = [mechanism.single_joint(name).v_index for name in task.joints]
+    equations = loop_equations(tree)
+    if task.tool:
+        R = tree.frame(mechanism.frame_name()).rotation
+        angles = {"rx": atan2(-R[1, 2], R[2, 2]), "ry": atan2(R[0, 2], sqrt(R[0, 0] * R[0, 0] + R[0, 1] * R[0, 1]))}
+        equations.append(
+            tool_equations(tree, task.tool, {"x": 0.0, "y": 0.0, "z": 0.0, "rz": atan2(-R[0, 1], R[0, 0])} | angles)
+        )
+    count, bits = len(held) + len(task.tool), itertools.count()
+    number: Scalar = 0.0
+    rates: dict[int, Objects] = {k: objects(np.eye(count)[column].tolist()) for column, k in enumerate(held)}
+    for system in _systems([_scaled(tree, equation) for equation in equations], set(held)):
+        right = zeros(len(system.error), count)
+        if task.tool and system.has_last:
+            right[-len(task.tool) :, len(held) :] = np.eye(len(task.tool))
+        solution, _, is_flipped = system.solved(right, rates)
+        rates |= dict(zip(system.unknowns, solution, strict=True))
+        number = number + select(is_flipped, 2.0 ** next(bits), 0.0)
+    matrix = np.vstack([zeros(0, count), *(rates.get(k, zeros(1, count)) for k in drives)])
+    sizes = np.array([np.nanmax(np.abs(number_samples(entry))) for entry in matrix.ravel()])
+    for rows, columns in connected(sizes.reshape(matrix.shape) > ZERO):
+        if len(rows) == len(columns):
+            is_flipped = _is_flipped(_determinant(matrix[np.ix_(rows, columns)]))
+            number = number + select(is_flipped, 2.0 ** next(bits), 0.0)
+    return number
+
+
 @dataclass(frozen=True, eq=False)
 class _System:
     """Scaled equations that are solved together: columns by the entries of v, and errors."""
@@ -196,106 +248,81 @@ class _System:
     columns: Mapping[int, Objects]  #: derivative of the errors by the entries of v, shape=(m,) each
     error: Objects  #: shape=(m,)
     unknowns: tuple[int, ...]  #: the entries of v to solve for; the others are held, or known by then
+    rows: Matrix | None  #: combinations of the rows to solve, see :class:`LoopSystem`; None for all by least squares
+    has_last: bool  #: whether the last of all equations are its last rows
 
-    def reduced(self, known: Mapping[int, Scalar]) -> tuple[Objects, Objects]:
-        """Return matrix and right-hand side in the unknowns, given the others, without zero rows."""
-        matrix = np.stack([self.columns[k] for k in self.unknowns], axis=1)
-        right = -self.error
-        for k, move in known.items():
-            if k in self.columns:
-                right = right - self.columns[k] * move
-        kept = [not all(map(is_zero, row)) for row in matrix]
-        return matrix[kept], right[kept]
+    @classmethod
+    def of(
+        cls,
+        equations: Sequence[Equations],
+        unknowns: tuple[int, ...],
+        rows: Matrix | None = None,
+        has_last: bool = False,
+    ) -> _System:
+        """Stack equations."""
+        columns = {
+            k: np.concatenate([e.columns.get(k, objects([0.0] * len(e.error))) for e in equations])
+            for k in sorted({k for equation in equations for k in equation.columns})
+        }
+        return cls(columns, np.concatenate([equation.error for equation in equations]), unknowns, rows, has_last)
 
     @property
-    def is_determined(self) -> bool:
-        """Whether there are unknowns, and the rows have full column rank at most of the samples."""
-        if not self.unknowns or len(matrix := self.reduced({})[0]) < len(self.unknowns):
-            return False
-        entries = [x.samples if isinstance(x, Number) else np.array([float(x)]) for x in matrix.ravel()]
-        values = np.stack(np.broadcast_arrays(*entries), axis=-1).reshape(-1, *matrix.shape)
-        singular = np.linalg.svd(values[np.isfinite(values).all(axis=(1, 2))], compute_uv=False)
-        return typical(singular[:, -1]) > _RANK * typical(singular[:, 0])
+    def matrix(self) -> Objects:
+        """Derivatives by the unknowns, shape=(m, number of unknowns)."""
+        return np.stack([self.columns[k] for k in self.unknowns], axis=1)
+
+    def solved(self, right: Objects, known: Mapping[int, Objects]) -> tuple[Objects, Scalar, Truth]:
+        """Solve for the unknowns, for right-hand sides, shape=(m, k), and known rates, shape=(k,) each.
+
+        Returns solutions, shape=(number of unknowns, k), the regularity, and whether the determinant has another sign
+        than at the first sample.
+        """
+        for k, rate in known.items():
+            if k in self.columns:
+                right = right - np.outer(self.columns[k], rate)
+        if self.rows is None:
+            kept = np.eye(len(self.error))[[not all(map(is_zero, row)) for row in self.matrix]]
+            return _solved_by_elimination(kept @ self.matrix, kept @ right)
+        matrix, right = self.rows @ self.matrix, self.rows @ right
+        return _solved_directly(matrix, right) if len(matrix) <= 3 else _solved_by_elimination(matrix, right)
 
 
-def _scaled(equations: Equations, scale: float, slides: set[int]) -> Equations:
-    """Divide lengths by the scale."""
+def _scaled(tree: Tree, equations: Equations) -> Equations:
+    """Divide lengths by the unit."""
+    scale, slides = tree.mechanism.length_unit, tree.slides
     rows = objects([1.0 if is_angular else 1.0 / scale for is_angular in equations.is_angular])
     per_length = objects([scale if is_angular else 1.0 for is_angular in equations.is_angular])
     columns = {k: c * (per_length if k in slides else rows) for k, c in equations.columns.items()}
-    return Equations(equations.error * rows, equations.is_angular, columns, equations.residual)
+    return replace(equations, error=equations.error * rows, columns=columns)
+
+
+def _at_samples(equations: Equations) -> LoopEquations:
+    """Return the derivatives of equations at the samples."""
+    entries = np.broadcast_arrays(np.zeros(1), *(number_samples(x) for c in equations.columns.values() for x in c))
+    table = np.stack(entries, axis=-1)[:, 1:].reshape(-1, len(equations.columns), len(equations.error))
+    return LoopEquations(tuple(equations.columns), np.swapaxes(table, 1, 2))
 
 
 def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
-    """Group equations into systems, in an order in which they can be solved.
-
-    Equations that determine all their joints are solved alone; then those that do so given the joints found; the rest
-    are joined where they share joints.
-    """
-    waiting, found, systems = list(equations), set(held), []
-    while waiting:
-        choices = ((equation, _system(equation, found)) for equation in waiting)
-        equation, system = next((choice for choice in choices if choice[1].is_determined), (None, None))
-        if equation is None or system is None:
-            break
-        waiting.remove(equation)
-        found |= set(system.unknowns)
-        systems.append(system)
-    return systems + _joined([_system(equation, found) for equation in waiting])
-
-
-def _joined(systems: list[_System]) -> list[_System]:
-    """Join systems that share unknowns; omit those without any."""
-    joined: list[_System] = []
-    for system in systems:
-        if system.unknowns:
-            sharing = [other for other in joined if set(other.unknowns) & set(system.unknowns)]
-            joined = [other for other in joined if other not in sharing]
-            joined.append(_union([*sharing, system]))
-    return joined
-
-
-def _system(equations: Equations, found: set[int]) -> _System:
-    free = [k for k, column in equations.columns.items() if k not in found and not all(map(is_zero, column))]
-    return _System(equations.columns, equations.error, tuple(sorted(free)))
-
-
-def _union(systems: list[_System]) -> _System:
-    """Stack systems."""
-    names = {k for system in systems for k in system.columns}
-    columns = {
-        k: np.concatenate([s.columns.get(k, objects([0.0] * len(s.error))) for s in systems]) for k in sorted(names)
-    }
-    unknowns = {k for system in systems for k in system.unknowns}
-    return _System(columns, np.concatenate([system.error for system in systems]), tuple(sorted(unknowns)))
-
-
-def _solved(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
-    """Return solution, regularity, and whether the determinant has another sign than at the first sample."""
-    direct = matrix.shape[0] == matrix.shape[1] <= 3
-    return _solved_directly(matrix, right) if direct else _solved_by_elimination(matrix, right)
+    """Group scaled equations into systems, in an order in which they can be solved, see :func:`split`."""
+    last = len(equations) - 1
+    return [
+        _System.of([equations[k] for k in s.equations], s.unknowns, s.rows, last in s.equations)
+        for s in split([_at_samples(equation) for equation in equations], held)
+    ]
 
 
 def _damped(matrix: Objects, right: Objects, damping: Scalar) -> Objects:
-    """Return the damped least-squares solution."""
+    """Return the damped least-squares solution, for a right-hand side, shape=(m,)."""
     size = matrix.shape[1]
     rows = objects([[damping if i == j else 0.0 for j in range(size)] for i in range(size)])
     extended = np.concatenate([right, objects([0.0] * size)])
-    return _solved_by_elimination(np.vstack([matrix, rows]), extended)[0]
+    return np.asarray(_solved_by_elimination(np.vstack([matrix, rows]), extended[:, None])[0][:, 0])
 
 
 def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
     """Solve a square system of up to three unknowns by Cramer's rule; the regularity is the determinant."""
-    size = len(matrix)
-    if size == 1:
-        determinant, adjugate = matrix[0, 0], objects([[1.0]])
-    elif size == 2:
-        (a, b), (c, d) = matrix
-        determinant, adjugate = a * d - b * c, objects([[d, -b], [-c, a]])
-    else:
-        a, b, c = matrix.T
-        adjugate = np.stack([cross(b, c), cross(c, a), cross(a, b)])
-        determinant = a @ adjugate[0]
+    determinant, adjugate = _by_cofactors(matrix)
     usual = _usual(determinant)
     if usual == 0.0:
         return _solved_by_elimination(matrix, right)
@@ -303,32 +330,62 @@ def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, 
     return (adjugate @ right) * inverse, absolute(determinant * (1.0 / usual)), _is_flipped(determinant)
 
 
+def _by_cofactors(matrix: Objects) -> tuple[Scalar, Objects]:
+    """Return determinant and adjugate of a matrix of up to three rows."""
+    if len(matrix) == 1:
+        return matrix[0, 0], objects([[1.0]])
+    if len(matrix) == 2:
+        (a, b), (c, d) = matrix
+        return a * d - b * c, objects([[d, -b], [-c, a]])
+    a, b, c = matrix.T
+    adjugate = np.stack([cross(b, c), cross(c, a), cross(a, b)])
+    return a @ adjugate[0], adjugate
+
+
 def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
     """Solve any system by least squares; the regularity is the least pivot, the determinant their product."""
     size = matrix.shape[1]
-    result = eliminate(np.hstack([matrix, right[:, None]]), range(size), Doubt())
+    result = eliminate(np.hstack([matrix, right]), range(size), Doubt())
     columns = list(result.columns)
-    solution = objects([0.0] * size)
+    solution = zeros(size, right.shape[1])
     if not columns:
         return solution, _REGULAR, np.False_
     triangle = result.pivot_rows[:, columns]
-    solution[columns] = solve_upper(triangle, result.pivot_rows[:, size:])[:, 0]
-    orientation: Scalar = 1.0
+    solution[columns] = solve_upper(triangle, result.pivot_rows[:, size:])
     least: Scalar = _REGULAR
     for pivot in np.diag(triangle):
-        orientation = orientation * pivot
         least = minimum(least, absolute(pivot * (1.0 / (_usual(pivot) or 1.0))))
     is_square = len(matrix) == size == len(columns)
-    return solution, least, _is_flipped(orientation) if is_square else np.False_
+    return solution, least, _is_flipped(math.prod(np.diag(triangle))) if is_square else np.False_
+
+
+def _determinant(matrix: Objects) -> Scalar:
+    """Return the determinant of a square matrix, up to a factor that is the same everywhere."""
+    size = len(matrix)
+    if size > _MOST_EXPANDED:
+        result = eliminate(matrix, range(size), Doubt())
+        return math.prod(np.diag(result.pivot_rows[:, list(result.columns)])) if not result.dropped else 0.0
+    minors: dict[tuple[int, ...], Scalar] = {(): 1.0}  # of the first rows, by columns
+    for row in range(size):
+        minors = {
+            columns: total(
+                [
+                    matrix[row, k] * minors[columns[:j] + columns[j + 1 :]] * (-1.0) ** (row + j)
+                    for j, k in enumerate(columns)
+                ]
+            )
+            for columns in itertools.combinations(range(size), row + 1)
+        }
+    return minors[tuple(range(size))]
 
 
 def _usual(number: Scalar) -> float:
     """Return the median magnitude at the samples, 0 if that is a rounding error."""
-    median = typical(np.abs(number.samples if isinstance(number, Number) else number))
+    median = typical(np.abs(number_samples(number)))
     return median if median > _ROUNDING else 0.0
 
 
 def _is_flipped(determinant: Scalar) -> Truth:
-    """Return whether a determinant has another sign than at the first sample."""
-    first = determinant.samples[0] if isinstance(determinant, Number) else determinant
-    return less(determinant * float(np.sign(first)), 0.0)
+    """Return whether a determinant has another sign than at the first sample, beyond rounding."""
+    first = float(np.sign(np.ravel(number_samples(determinant))[0]))
+    return less(determinant * first, -_SIGN * _usual(determinant))

@@ -12,9 +12,8 @@ import pytest
 from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Poses, Robot
 
 MACHINES = Path(__file__).parents[1] / "machines"
 STEP = 1e-5

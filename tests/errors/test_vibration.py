@@ -13,9 +13,8 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.vibration import CAUSES, Vibration, _response_products
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Poses, Robot
 
 
 def quiet(**spectra: Spectrum | None) -> VibrationNumbers:

@@ -9,11 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.kinematics.careful import assemble_at
+from pm3dof_pin.kinematics.branches import samples_near_home
+from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.continuation import Continuation
 from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.reference import assemble_at
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.programs import llvm, walk
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -201,7 +202,7 @@ def test_a_variant_is_solved_by_the_programs_of_its_prototype():
         commands = random_values("hexapod", "commands", 20, 0.5)
         found = variant.forward(commands)
         expected = variant.forward(commands, engine="pinocchio")
-        assert "program_source" not in variant.__dict__
+        assert "_program_source" not in variant.__dict__
         np.testing.assert_allclose(found.transforms, expected.transforms, atol=1e-10)
         assert found.residual.max() < 1e-12
 
@@ -219,7 +220,7 @@ def test_legs_twenty_times_shorter_end_in_the_same_poses(name, given, monkeypatc
     walked = solver._walked(starts, values)
     monkeypatch.setattr(walk, "WALK", walk.Limits(jump=0.05, regularity=walk.WALK.regularity))
     compiled, parameters = solver._step
-    samples = robot.program_source.samples
+    samples = program_source(robot).samples
     program = walk.walk_program(robot, solver._task, compiled.program, samples, leg=0.05 * walk.LEG)
     slowly = llvm.compile(program).walk(starts, solver._given_numbers(values), parameters)
     arrived, arrived_slowly = walked.status == walk.REACHED, slowly.status == walk.REACHED

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pm3dof_pin.kinematics.coordinate_units import turns_of
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularities
+from pm3dof_pin.kinematics.units import coordinate_periods
 
 CRANK, ROD = 0.2, 0.5
 LIMIT = '<limit lower="-{0}" upper="{0}" effort="1" velocity="1"/>'
@@ -89,4 +89,4 @@ def test_in_a_gimbal_lock_the_outer_drives_turn_against_each_other(tmp_path: Pat
 def test_the_period_of_a_coordinate_is_that_of_a_turn_on_its_scale(slider_crank: Robot, scale: float) -> None:
     turning = Coordinate("a", "rad", tool="rx", scale=scale)
     sliding = Coordinate("b", "m", joint="slide", scale=scale)
-    np.testing.assert_allclose(turns_of(slider_crank, [turning, sliding]), [abs(scale) * 2.0 * np.pi, np.inf])
+    np.testing.assert_allclose(coordinate_periods(slider_crank, [turning, sliding]), [abs(scale) * 2.0 * np.pi, np.inf])

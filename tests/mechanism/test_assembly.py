@@ -77,7 +77,7 @@ def test_held_joints_keep_their_values_to_the_last_bit(five_bar: Robot) -> None:
 
 
 def test_forward_and_inverse_geometry_undo_each_other(five_bar: Robot) -> None:
-    guess = five_bar.solve([0.04, 0.49], guess=five_bar.assemble([0.0, 0.5, 2.2, -1.3, 0.9, 1.3])).configuration()
+    guess = five_bar.assemble([2.2, -1.3, 0.9, 1.3, 0.0, 0.5])
     there = five_bar.reach([0.05, 0.48, 0.0], guess=guess).configuration()
     np.testing.assert_allclose(there.tool_placement.translation, [0.05, 0.48, 0.0], atol=1e-15)
     back = five_bar.forward(there.commands, guess=guess).configuration()
@@ -178,8 +178,8 @@ def test_loops_that_cannot_close_are_an_error_with_the_residual(crank_rocker: Ro
         crank_rocker.assemble(joints={"rocker_joint": 0.0})
     assert caught.value.residual == pytest.approx(0.3, abs=1e-6)
     lengths = Robot(crank_rocker.model, crank_rocker.closures, actuated_joints=["rocker_joint"])
-    with pytest.raises(UnreachablePoseError, match="rocker_joint"):
-        lengths.forward([0.0]).configuration()
+    with pytest.raises(ConvergenceError, match="closing the loops at home"):
+        lengths.forward([0.0])
 
 
 def test_a_pose_no_closure_forbids_may_be_anywhere() -> None:
@@ -224,7 +224,7 @@ def test_arguments_are_checked(five_bar: Robot, call: Callable[[Robot], object],
 def test_what_the_description_lacks_is_named(crank_rocker: Robot) -> None:
     toolless = Robot(crank_rocker.model, crank_rocker.closures, source="little.yaml")
     with pytest.raises(DescriptionError, match=r"little\.yaml: tool_frame"):
-        toolless.reach(np.eye(4)).configuration()
+        toolless.reach(np.eye(4), guess=crank_rocker.assemble([0.6, 0.8, 1.0, 0.5])).configuration()
 
 
 def test_another_mechanisms_configuration_is_no_guess(five_bar: Robot, crank_rocker: Robot) -> None:

@@ -17,6 +17,7 @@ from pm3dof_pin.description.robots import robot_names
 from pm3dof_pin.kinematics.closing_programs import BoundProgram
 from pm3dof_pin.kinematics.continuation import Continuation
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.programs.c import c99
 from pm3dof_pin.programs.javascript import javascript
 from pm3dof_pin.programs.walk import REACHED, TOO_FAR, Walk
@@ -50,9 +51,9 @@ def walked(name: str, given: str) -> Case:
     solver = Continuation(robot, robot.coordinates if given == "coordinates" else robot.command_coordinates)
     home = solver.read(solver._home[None])
     generator = np.random.default_rng(0)
-    widths = generator.choice([0.1, 0.4, 1.2], (TARGETS, 1)) * solver._units
+    widths = generator.choice([0.1, 0.4, 1.2], (TARGETS, 1)) * coordinate_scales(robot, solver._coordinates)
     values = home + generator.uniform(-1.0, 1.0, (TARGETS, home.shape[1])) * widths
-    values[3], values[4], values[5] = np.nan, home + 1e5 * solver._units, home
+    values[3], values[4], values[5] = np.nan, home + 1e5 * coordinate_scales(robot, solver._coordinates), home
     targets = solver._given_numbers(values)
     walk = solver._step.compiled.walk_program
     start = np.tile(solver._home, (TARGETS, 1))

@@ -1,0 +1,165 @@
+"""A mechanism with a home and coordinates: what its solvers know of a robot."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
+from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
+from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.mechanism.tool_components import tool_components
+from pm3dof_pin.typing import Array, Vector
+
+_HOME = "home"
+
+
+class PlacedMechanism(Mechanism):
+    """A mechanism with its home and coordinates; :class:`~pm3dof_pin.kinematics.robot.Robot` adds solvers to it."""
+
+    @cached_property
+    def home(self) -> Configuration:
+        """The named configuration "home" or else all zeros, with its loops closed if possible nearby.
+
+        In an open tree, joints whose limits exclude zero are put in the middle of their range, or at its end.
+        The actuated joints keep their positions if the loops close that way. If no closed configuration is found, it is
+        the described one: check its :attr:`Configuration.closure_residual`.
+        """
+        named = self.named_configurations.get(_HOME)
+        described = self.configuration(self._zeros if named is None else named)
+        if described.closure_residual <= CLOSURE_TOLERANCE:
+            return described
+        drives = {name: described.joint_position(name) for name in self.actuated_joints}
+        for joints in (drives, {}):
+            result = assemble(self, described, joints=joints)
+            if result.converged:
+                return result.configuration
+        return described
+
+    @property
+    def _zeros(self) -> Vector:
+        q = np.array(pin.neutral(self.model))
+        lower, upper = self.lower_limits, self.upper_limits
+        for joint in () if self.closures else list(self.model.joints)[1:]:
+            ends = np.array([lower[joint.idx_q], upper[joint.idx_q]])
+            if joint.nq == 1 and not ends[0] <= 0.0 <= ends[1]:
+                q[joint.idx_q] = np.mean(ends) if np.isfinite(ends).all() else ends[np.isfinite(ends)][0]
+        return q
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The independent numbers that place the tool.
+
+        In order of precedence: those declared by the description; the tool's placement if it has six degrees of
+        freedom; if there are more drives than degrees of freedom, as many components of the tool's placement as it has
+        degrees of freedom; the commands.
+        """
+        if self.declared_coordinates:
+            return self.declared_coordinates
+        return self._tool_coordinates() or self.command_coordinates
+
+    @cached_property
+    def command_coordinates(self) -> tuple[Coordinate, ...]:
+        """The commands, as coordinates."""
+        return tuple(
+            Coordinate(command.name, command.unit, joint=command.joint, offset=command.offset, scale=command.scale)
+            for command in self.commands
+        )
+
+    def configuration(self, q: ArrayLike) -> Configuration:
+        """Return the read-only :class:`Configuration` at q, shape=(nq,) [m, rad]; its loops need not be closed."""
+        return Configuration(self, q)
+
+    def coordinate(self, name: str) -> Coordinate:
+        """Return a coordinate by name; InvalidValueError if there is none of this name."""
+        for coordinate in self.coordinates:
+            if coordinate.name == name:
+                return coordinate
+        raise InvalidValueError("coordinate", name, f"one of {', '.join(c.name for c in self.coordinates)}")
+
+    def range_of(self, coordinate: Coordinate) -> tuple[float, float]:
+        """Return the declared range of a coordinate, or that of its joint; infinite if there is none [m, rad]."""
+        lower, upper = -np.inf, np.inf
+        if coordinate.joint is not None:
+            joint = self.single_joint(coordinate.joint)
+            ends = np.array([self.lower_limits[joint.q_index], self.upper_limits[joint.q_index]])
+            if not joint.is_continuous:
+                lower, upper = np.sort(coordinate.scale * ends + coordinate.offset)
+        return (
+            float(lower) if coordinate.lower is None else coordinate.lower,
+            float(upper) if coordinate.upper is None else coordinate.upper,
+        )
+
+    def read(self, coordinates: tuple[Coordinate, ...], q: Array, transforms: Array | None = None) -> Array:
+        """Return the coordinates at q, shape=(..., nq), as shape=(..., number of coordinates) [m, rad].
+
+        Placements of the tool, shape=(..., 4, 4), are needed if a coordinate is one of its components.
+        """
+        tool = None if transforms is None else tool_components(transforms)
+        columns = []
+        for coordinate in coordinates:
+            if coordinate.joint is None:
+                assert coordinate.tool is not None
+                assert tool is not None
+                columns.append(tool[..., TOOL_COMPONENTS.index(coordinate.tool)])
+                continue
+            value = self.single_joint(coordinate.joint).coordinate(q)
+            columns.append(coordinate.scale * value + coordinate.offset)
+        return np.stack(columns, axis=-1) if columns else np.empty((*q.shape[:-1], 0))
+
+    def is_variant_of(self, other: PlacedMechanism) -> bool:
+        """Whether another mechanism has the same closures, drives and coordinates."""
+        names = ("closures", "couplings", "actuated_joints", "declared_coordinates")
+        return all(getattr(self, name) == getattr(other, name) for name in names)
+
+    @cached_property
+    def arm_reach(self) -> tuple[Vector, float] | None:
+        """Sphere that the tool of an open chain of hinges cannot leave, its centre and radius [m]; None for others."""
+        if self.has_loops or self.tool_frame is None:
+            return None
+        model, tool = self.model, self.model.frames[self.tool_frame_id]
+        chain = list(model.supports[tool.parentJoint])[1:]
+        if not chain or not all(model.joints[index].shortname().startswith("JointModelR") for index in chain):
+            return None
+        first, *links = (model.jointPlacements[index].translation for index in chain)
+        lengths = [float(np.linalg.norm(link)) for link in (*links, tool.placement.translation)]
+        return frozen(np.array(first)), sum(lengths)
+
+    @cached_property
+    def placing_drives(self) -> list[int]:
+        """The drives that place the mechanism: all of them, unless there are more than degrees of freedom."""
+        first = self.prototype
+        if first is not self and self.is_variant_of(first):
+            return first.placing_drives
+        if self.has_loops:
+            try:
+                if drives := independent_drives(generic_configuration(self.home)):
+                    return drives
+            except (ConvergenceError, InvalidValueError):
+                pass  # the loops do not close: the solvers report it
+        return list(range(len(self.commands)))
+
+    def _tool_coordinates(self) -> tuple[Coordinate, ...]:
+        """Return components of the tool's placement that describe a pose better than the commands, if any."""
+        if self.tool_frame is None:
+            return ()
+        try:
+            usual = generic_configuration(self.home)
+            mobility = instantaneous_mobility(usual)
+            if mobility.tool_mobility == len(TOOL_COMPONENTS):
+                return tool_coordinates(TOOL_COMPONENTS)
+            if not mobility.tool_mobility == mobility.actuator_rank.rank < len(self.commands):
+                return ()
+            components = motion_components(self.home)
+            at_home = len(components) == mobility.tool_mobility
+            return tool_coordinates(components if at_home else motion_components(usual))
+        except (ConvergenceError, InvalidValueError):
+            return ()

@@ -1,0 +1,123 @@
+"""The loop equations of a mechanism, split into systems that can be solved one after another.
+
+Equations that determine their own joints are solved first, then those that do so given these joints; what shares joints
+after that is solved together. The sign of the determinant of a system changes only at a configuration at which the
+quantities given do not determine the joints: a singular one. Both engines split by the same rules, each from its own
+Jacobians at the same closed configurations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.typing import Array, Mask, Matrix
+
+ZERO = 1e-9
+"""Entries of scaled Jacobians up to this at all samples are treated as zero."""
+
+RANK = 1e-6
+"""Least relative singular value of equations that determine their joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoopEquations:
+    """Equations of one closure, or of the tool: scaled derivatives by the entries of v, at sample configurations."""
+
+    indices: tuple[int, ...]  #: the entries of v
+    samples: Array  #: shape=(s, rows, number of indices)
+
+    def moving(self, found: Iterable[int]) -> tuple[int, ...]:
+        """Return the entries of v that move the equations and are not yet found."""
+        sizes = np.nanmax(np.abs(self.samples), axis=(0, 1), initial=0.0)
+        return tuple(sorted(k for k, size in zip(self.indices, sizes, strict=True) if size > ZERO and k not in found))
+
+
+@dataclass(frozen=True, eq=False)
+class LoopSystem:
+    """Equations that are solved together for some entries of v."""
+
+    equations: tuple[int, ...]  #: which equations, in order
+    unknowns: tuple[int, ...]  #: the entries of v to solve for
+    is_determined: bool  #: whether the equations determine the unknowns
+    #: as many combinations of the rows as unknowns, which hold all equations, shape=(number of unknowns, rows); None if
+    #: the unknowns are not determined, or there are more equations and no such combinations are the same at all samples
+    rows: Matrix | None
+
+
+def split(equations: Sequence[LoopEquations], held: Iterable[int]) -> list[LoopSystem]:
+    """Split equations into systems, in an order in which they can be solved; `held` entries of v are given."""
+    waiting, found = list(range(len(equations))), set(held)
+    systems: list[LoopSystem] = []
+    while waiting:
+        choices = (_system(equations, (index,), equations[index].moving(found)) for index in waiting)
+        chosen = next((system for system in choices if system.is_determined), None)
+        if chosen is None:
+            break
+        waiting.remove(chosen.equations[0])
+        found |= set(chosen.unknowns)
+        systems.append(chosen)
+    return systems + [_system(equations, *group) for group in joined(equations, found, waiting)]
+
+
+def joined(
+    equations: Sequence[LoopEquations], found: Iterable[int], indices: Iterable[int]
+) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Group equations, by index, that share entries of v not yet found; return each group and these entries."""
+    groups: list[tuple[list[int], set[int]]] = []
+    for index in indices:
+        members, unknowns = [index], set(equations[index].moving(found))
+        for other in [other for other in groups if other[1] & unknowns]:
+            groups.remove(other)
+            members, unknowns = [*other[0], *members], unknowns | other[1]
+        if unknowns:
+            groups.append((members, unknowns))
+    return [(tuple(sorted(members)), tuple(sorted(unknowns))) for members, unknowns in groups]
+
+
+def stacked(parts: Sequence[tuple[tuple[int, ...], Array]], unknowns: Sequence[int]) -> Array:
+    """Stack the rows of equations, (indices, shape=(..., rows, number of indices)), with columns by the unknowns."""
+    blocks = []
+    for indices, values in parts:
+        block = np.zeros((*values.shape[:-1], len(unknowns)))
+        for column, k in enumerate(unknowns):
+            if k in indices:
+                block[..., column] = values[..., indices.index(k)]
+        blocks.append(block)
+    return np.concatenate(blocks, axis=-2)
+
+
+def connected(pattern: Mask) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Return the rows and columns of each connected block of a matrix of booleans, shape=(m, n)."""
+    blocks: list[tuple[set[int], set[int]]] = []
+    for row, entries in enumerate(pattern):
+        rows, columns = {row}, set(np.flatnonzero(entries).tolist())
+        for other in [other for other in blocks if other[1] & columns]:
+            blocks.remove(other)
+            rows, columns = rows | other[0], columns | other[1]
+        blocks.append((rows, columns))
+    return [(tuple(sorted(rows)), tuple(sorted(columns))) for rows, columns in blocks]
+
+
+def _system(equations: Sequence[LoopEquations], members: tuple[int, ...], unknowns: tuple[int, ...]) -> LoopSystem:
+    matrices = stacked([(equations[index].indices, equations[index].samples) for index in members], unknowns)
+    matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]
+    samples, rows, columns = matrices.shape
+    if not 0 < columns <= rows or not samples:
+        return LoopSystem(members, unknowns, False, None)
+    singular = np.linalg.svd(matrices, compute_uv=False)
+    is_determined = bool(np.median(singular[:, -1]) > RANK * np.median(singular[:, 0]))
+    return LoopSystem(members, unknowns, is_determined, _essential_rows(matrices) if is_determined else None)
+
+
+def _essential_rows(matrices: Array) -> Matrix | None:
+    """Return the combinations of rows that hold everything at all samples, if these are as many as the columns."""
+    _, rows, columns = matrices.shape
+    kept = np.flatnonzero(np.abs(matrices).max(axis=(0, 2)) > ZERO)
+    if len(kept) == columns:
+        return np.eye(rows)[kept]
+    left, values, _ = np.linalg.svd(np.concatenate(list(matrices), axis=1), full_matrices=False)
+    constant = not len(values) > columns or bool(values[columns] <= RANK * values[0])
+    return np.asarray(left[:, :columns].T) if constant else None

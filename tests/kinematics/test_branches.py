@@ -1,0 +1,191 @@
+"""Branches: poses beyond serial and parallel singularities, against determinants derived by hand."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.kinematics.branches import branches_of
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+
+MACHINES = Path(__file__).parents[1] / "machines"
+BASE, PLATFORM = 0.5, 0.2  # radii [m]
+
+
+def load(name: str) -> Robot:
+    files = [*(MACHINES / name).glob("*.urdf"), *(MACHINES / name).glob("*.xml")]
+    return Robot.load(files[0] if files else name)
+
+
+@cache
+def three_rpr(turn: float = np.radians(35.0)) -> Robot:
+    """A planar 3-RPR: triangles of radii BASE and PLATFORM, the platform turned by `turn` where phi = 0."""
+    model = pin.Model()
+    model.name = "three_rpr"
+    for leg, angle in enumerate(np.pi / 2 + np.arange(3) * 2 * np.pi / 3):
+        foot = BASE * np.array([np.cos(angle), np.sin(angle), 0.0])
+        head = PLATFORM * np.array([np.cos(angle + turn), np.sin(angle + turn), 0.0])
+        way = head - foot
+        direction = np.arctan2(way[1], way[0])
+        placement = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, direction), foot)
+        swing = model.addJoint(0, pin.JointModelRZ(), placement, f"swing{leg}")
+        along = pin.SE3(np.eye(3), np.array([np.linalg.norm(way), 0.0, 0.0]))
+        slide = model.addJoint(swing, pin.JointModelPX(), along, f"u{leg}")
+        model.addFrame(pin.Frame(f"tip{leg}", slide, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        if leg == 0:
+            level = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, -direction), np.zeros(3))
+            platform, first = model.addJoint(slide, pin.JointModelRZ(), level, "pivot"), head
+        else:
+            at = pin.SE3(np.eye(3), head - first)
+            model.addFrame(pin.Frame(f"head{leg}", platform, at, pin.FrameType.OP_FRAME))
+    model.addFrame(pin.Frame("tool", platform, pin.SE3(np.eye(3), -first), pin.FrameType.OP_FRAME))
+    coordinates = [Coordinate("x", "m", tool="x"), Coordinate("y", "m", tool="y"), Coordinate("phi", "rad", tool="rz")]
+    return Robot(
+        model,
+        [LoopClosure(f"tip{leg}", f"head{leg}", "3d") for leg in (1, 2)],
+        actuated_joints=["u0", "u1", "u2"],
+        tool_frame="tool",
+        coordinates=coordinates,
+    )
+
+
+def three_rpr_determinant(values: np.ndarray, turn: float = np.radians(35.0)) -> np.ndarray:
+    """Return the determinant of the 3-RPR's actuation, up to positive factors.
+
+    With base points b e_i and platform points t + r R(theta) e_i, theta = phi + turn, the i-th row is [d_i, r R e_i x
+    d_i] with the leg d_i = t + (r R - b) e_i. As the e_i add up to zero and their squares to 3/2 of unity, the
+    determinant of the three rows is r b sin(theta) (r^2 + b^2 - 2 r b cos(theta) - |t|^2) times a constant: all poses
+    at phi = -turn are singular.
+    """
+    x, y, phi = np.moveaxis(np.asarray(values), -1, 0)
+    theta = phi + turn
+    circle = PLATFORM**2 + BASE**2 - 2.0 * PLATFORM * BASE * np.cos(theta) - x**2 - y**2
+    return np.asarray(np.sin(theta) * circle)
+
+
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+def test_a_turned_three_rpr_ends_at_its_parallel_singularity(engine):
+    robot = three_rpr()
+    values = np.random.default_rng(0).uniform([-0.1, -0.1, -1.4], [0.1, 0.1, 1.4], (400, 3))
+    poses = robot.solve(values, on_failure="nan", engine=engine)
+    same = three_rpr_determinant(values) > 0.0
+    assert 0.2 < same.mean() < 0.8
+    np.testing.assert_array_equal(poses.solved, same)
+    np.testing.assert_array_equal(poses.branch, 0)
+    found = robot.solve(values, branches="all", engine=engine)
+    np.testing.assert_array_equal(found.branch == 0, same)
+    back = robot.forward(poses.commands[same], engine=engine)
+    np.testing.assert_allclose(back.commands, poses.commands[same], atol=1e-10)
+
+
+def test_grids_random_poses_and_placements_end_there_too():
+    robot = three_rpr()
+    grid = robot.grid(x=(-0.1, 0.1, 5), y=(-0.1, 0.1, 5), phi=(-1.4, 0.5, 39))
+    poses = robot.solve(grid, on_failure="nan")
+    np.testing.assert_array_equal(poses.solved, three_rpr_determinant(grid.values) > 0.0)
+    everything = robot.solve(grid, on_failure="nan", branches="all")
+    np.testing.assert_array_equal(everything.branch == 0, three_rpr_determinant(grid.values) > 0.0)
+    placements = everything.transforms.reshape(-1, 4, 4)
+    found = robot.reach(placements, on_failure="nan")
+    np.testing.assert_array_equal(found.solved, poses.solved.ravel())
+
+
+def test_the_message_names_the_singularity_and_the_way_beyond():
+    robot = three_rpr()
+    with pytest.raises(UnreachablePoseError, match=r"parallel singularity.*phi = -0\.[56]\d* rad.*'home'"):
+        robot.solve([0.0, 0.01, np.radians(-50.0)])
+    beyond = robot.solve([0.0, 0.01, np.radians(-50.0)], branches="all")
+    assert beyond.branch != 0
+    there = robot.solve([0.02, 0.0, np.radians(-60.0)], guess=beyond.q)  # on purpose
+    assert there.branch == beyond.branch
+    model = robot.model.copy()
+    model.referenceConfigurations["home"] = np.array(beyond.q)
+    other = robot.replace(model=model)
+    assert other.solve([0.02, 0.0, np.radians(-60.0)]).branch == 0
+    with pytest.raises(UnreachablePoseError, match="parallel"):
+        other.solve([0.0, 0.01, 0.0])
+
+
+def test_a_five_bar_stays_on_the_side_of_its_distal_links():
+    """The distal links of 0.35 m from the elbows to the pen: their cross product is zero at a parallel singularity."""
+    robot = load("five_bar")
+    grid = robot.grid(x=(-0.5, 0.5, 81), y=(-0.45, 0.65, 81))
+    everything = robot.solve(grid, on_failure="nan", branches="all")
+    left, right = everything.commands[..., 0], everything.commands[..., 1]
+    # counter zeros at home, where the travels are those of the triangles of test_continuation.py
+    pen, angles = grid.values, []
+    home = robot.home_coordinates
+    for side, travel in ((-1.0, left), (1.0, right)):
+        x, y = home - [0.1 * side, 0.0]
+        reach = np.hypot(x, y)
+        between = np.arccos((0.25**2 + reach**2 - 0.35**2) / (0.5 * reach))
+        angles.append(np.arctan2(y, x) - side * between + travel)
+    elbows = [
+        np.stack([0.1 * side + 0.25 * np.cos(a), 0.25 * np.sin(a)], axis=-1)
+        for side, a in zip((-1.0, 1.0), angles, strict=True)
+    ]
+    first, second = (pen - elbow for elbow in elbows)
+    np.testing.assert_allclose(np.hypot(*np.moveaxis(first, -1, 0))[everything.solved], 0.35, atol=1e-9)
+    cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+    solved = everything.solved & (np.abs(cross) > 1e-9)
+    same = cross * (0.35**2) > 0.0  # at home the left link turns into the right one counter-clockwise
+    np.testing.assert_array_equal((everything.branch == 0)[solved], same[solved])
+    assert np.mean(~same[solved]) > 0.005
+    reached = robot.solve(grid, on_failure="nan")
+    assert not (reached.solved & solved & ~same).any()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["pm3dof", "hexapod", "three_rps", "linear_delta", "delta", "five_bar", "three_rpr", "four_rrr", "agile_eye"],
+)
+def test_both_engines_number_branches_alike_and_poses_return(name):
+    robot = load(name)
+    poses = reachable_poses(robot, 150, np.random.default_rng(2))
+    wide = robot.home_coordinates + np.random.default_rng(3).normal(0.0, 0.3, (60, len(robot.coordinates))) * [
+        1.0 if c.unit == "rad" else robot.characteristic_length for c in robot.coordinates
+    ]
+    far = robot.solve(wide, on_failure="nan", branches="all")
+    for batch in (poses, far[far.solved]):
+        q = batch.q
+        by_program = robot.at(q).branch
+        by_pinocchio = [branches_of(robot).number(row) for row in q]
+        np.testing.assert_array_equal(by_program, by_pinocchio)
+    np.testing.assert_array_equal(poses.branch, 0)
+    if len(robot.commands) > len(robot.coordinates):
+        return  # the drives that place it alone have singularities of their own
+    commands = robot.solve(poses.coordinates).commands
+    back = robot.forward(commands)
+    np.testing.assert_allclose(back.commands, commands, atol=1e-9)
+    np.testing.assert_allclose(robot.solve(back.coordinates).commands, commands, atol=1e-9)
+
+
+def test_the_reference_finds_the_same_poses_without_any_compiled_code(tmp_path):
+    robot = load("linear_delta")
+    ranges = np.array([robot.range_of(c) for c in robot.command_coordinates])
+    commands = np.random.default_rng(5).uniform(*ranges.T, (40, 3))
+    expected = robot.forward(commands, on_failure="nan")
+    assert 0.2 < expected.solved.mean() < 0.95
+    script = """
+import json, sys
+sys.modules["llvmlite"] = sys.modules["pm3dof_pin.programs"] = sys.modules["pm3dof_pin.kinematics.continuation"] = None
+import numpy as np
+import pm3dof_pin as pm
+poses = pm.load("linear_delta", engine="pinocchio").forward(json.load(sys.stdin), on_failure="nan")
+print(json.dumps(poses.transforms[:, :3, 3].tolist()))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], input=json.dumps(commands.tolist()), capture_output=True, text=True, check=True
+    )
+    np.testing.assert_allclose(json.loads(done.stdout), expected.positions, atol=1e-9)
