@@ -409,7 +409,7 @@ def _whitened(branches_rows: Sequence[_Rows], doubt: Doubt, *, without_rigid: bo
     blocks = []
     for rows in branches_rows:
         strain, twist = rows.strain, rows.twist
-        if triangular(strain).shape[1] < len(strain):
+        if rank(strain, relative=True) < len(strain):
             if not without_rigid:
                 return None
             count = strain.shape[1]

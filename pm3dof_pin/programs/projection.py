@@ -69,8 +69,8 @@ def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflectio
     return reflection
 
 
-def rank(rows: Objects) -> int:
-    """Return the rank at the median sample pose, of numbers compared with 1."""
+def rank(rows: Objects, *, relative: bool = False) -> int:
+    """Return the rank at the median sample pose; singular values are compared with 1, or else with the greatest."""
     if not rows.size:
         return 0
     count = max(np.size(samples(entry)) for entry in rows.ravel())
@@ -78,4 +78,4 @@ def rank(rows: Objects) -> int:
     for (i, j), entry in np.ndenumerate(rows):
         values[:, i, j] = samples(entry)
     sizes = np.linalg.svd(values[np.isfinite(values).all(axis=(1, 2))], compute_uv=False)
-    return int(typical((sizes > ZERO).sum(axis=1)))
+    return int(typical((sizes > ZERO * (sizes[:, :1] if relative else 1.0)).sum(axis=1)))

@@ -22,7 +22,7 @@ from pm3dof_pin.programs.llvm import Compiled
 
 MACHINES = Path(__file__).parents[1] / "machines"
 FOLDERS = {name: robots_directory() / f"{name}_description" for name in robot_names()}
-FOLDERS |= {path.name: path for path in sorted(MACHINES.iterdir()) if path.name != "walker"}  # that stands on nothing
+FOLDERS |= {path.name: path for path in sorted(MACHINES.iterdir()) if (path / f"{path.name}.urdf").exists()}
 ANGLES, SHIFT = (0.3, -0.7, 1.1), (0.3, -0.2, 0.5)
 
 
