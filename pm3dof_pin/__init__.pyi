@@ -4,6 +4,7 @@ from . import chapter as chapter
 from .calibration.calibrate import calibrate as calibrate
 from .calibration.folder import read_compensation as read_compensation
 from .calibration.planning import PlanningProblem as PlanningProblem
+from .capability.tool_capability import tool_capability as tool_capability
 from .description.robots import robot_names as robot_names
 from .dynamics.inverse_dynamics import inverse_dynamics as inverse_dynamics
 from .dynamics.modes import natural_modes as natural_modes

@@ -131,6 +131,35 @@ class Polytopes:
         far = _ratio(self.offsets, along, only_positive=True).min(axis=-1)
         return np.asarray(np.where(self.contains_origin, far, np.nan))
 
+    def pulled_back(self, matrix: ArrayLike) -> Polytopes:
+        """Return {w : M w in the polytope}, unbounded where M w vanishes.
+
+        Args:
+            matrix: M, shape=(..., d, k).
+        """
+        rows = self.normals @ np.asarray(matrix, dtype=float)
+        lengths = np.linalg.norm(rows, axis=-1)
+        matters = lengths > _PARALLEL * lengths.max(axis=-1, keepdims=True, initial=0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            normals = np.where(matters[..., None], rows / lengths[..., None], 0.0)
+            free = np.where(self.offsets >= 0.0, np.inf, -np.inf)
+            offsets = np.where(matters, self.offsets / lengths, free)
+        return Polytopes(frozen(normals), frozen(offsets))
+
+    def share_left(self, point: ArrayLike) -> Array:
+        """Return how much is left at a point, of the way from the middle between each pair of facets to a facet.
+
+        1 in the middle, 0 on the boundary and negative outside: with as many drives as dimensions, the share of its
+        effort that the most loaded drive has left. Facets are in opposite pairs, as the constructors make them.
+        """
+        along = np.einsum("...md,...d->...m", self.normals, np.asarray(point, dtype=float))
+        half = self.normals.shape[-2] // 2
+        widths = 0.5 * (self.offsets[..., :half] + self.offsets[..., half:])
+        slack = np.minimum(*np.split(self.offsets - along, 2, axis=-1))
+        with np.errstate(invalid="ignore"):
+            shares = np.where(np.isinf(widths), 1.0, slack / widths)
+        return np.asarray(shares.min(axis=-1))
+
     def margin(self, point: ArrayLike) -> Array:
         """Return the distance of a point from the nearest facet, shape=(...); negative outside."""
         along = np.einsum("...md,...d->...m", self.normals, np.asarray(point, dtype=float))

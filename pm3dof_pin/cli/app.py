@@ -26,6 +26,7 @@ COMMANDS = {
     "stiffness": ("stiffness", "Stiffness of the tool at a pose"),
     "statics": ("statics", "Drive forces that hold the weight and a load"),
     "modes": ("modes", "Natural frequencies and mode shapes at a pose"),
+    "capability": ("capability", "How hard the tool can push and how fast it can go"),
     "transmission": ("transmission", "What a serial model must know of joints driven through loops"),
     "stiffness-map": ("stiffness_map", "Stiffness maps: data, spreadsheet, pictures"),
     "table-8-3": ("table", "Table 8.3 of the chapter, published and computed"),
@@ -44,7 +45,7 @@ COMMANDS = {
 """For each command: its module in pm3dof_pin.cli (the function has the command's name) and its line in the list."""
 
 # -15 is a number for these, and a misspelt option an argument that is not a number
-_WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view", "transmission"}
+_WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view", "transmission", "capability"}
 
 
 class _Commands(TyperGroup):

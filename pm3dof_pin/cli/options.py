@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 from typer.core import TyperCommand
@@ -67,6 +67,53 @@ KnownWrenches = Annotated[
         "--wrench",
         metavar="FX FY FZ MX MY MZ",
         help="Load the tool with known wrenches of up to plus or minus these components [N, N m].",
+    ),
+]
+
+
+class WrenchNumbers(NamedTuple):
+    """A wrench given as an option."""
+
+    fx: float
+    fy: float
+    fz: float
+    mx: float
+    my: float
+    mz: float
+
+    @classmethod
+    def parse(cls, text: str) -> WrenchNumbers:
+        """Read FX FY FZ MX MY MZ."""
+        numbers = [finite_number(word) for word in text.split()]
+        if len(numbers) != NUMBER_OF_VALUES["--wrench"]:
+            raise typer.BadParameter(f"expected FX FY FZ MX MY MZ, not '{text}'")
+        return cls(*numbers)
+
+
+Wrenches = Annotated[
+    tuple[float, float, float, float, float, float] | None,
+    typer.Option(
+        "--wrench",
+        metavar="FX FY FZ MX MY MZ",
+        help="Load the tool with known wrenches of up to plus or minus these components [N, N m].",
+    ),
+]
+
+
+def _six_numbers(text: str) -> list[float]:
+    numbers = [finite_number(word) for word in text.split()]
+    if len(numbers) != NUMBER_OF_VALUES["--wrench"]:
+        raise typer.BadParameter(f"expected FX FY FZ MX MY MZ, not '{text}'")
+    return numbers
+
+
+AppliedWrenches = Annotated[
+    list[WrenchNumbers] | None,
+    typer.Option(
+        "--wrench",
+        metavar="FX FY FZ MX MY MZ",
+        parser=WrenchNumbers.parse,
+        help="Wrench of the tool on its environment, at the tool point, base axes [N, N m]; may be repeated.",
     ),
 ]
 Config = Annotated[
@@ -141,17 +188,20 @@ class RepeatableCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Join the values of such an option into one, then parse as usual."""
+        repeatable = {
+            name for parameter in self.params if getattr(parameter, "multiple", False) for name in parameter.opts
+        }
         joined: list[str] = []
         rest = deque(args)
         while rest:
             joined.append(rest.popleft())
-            count = NUMBER_OF_VALUES.get(joined[-1], 0)
+            count = NUMBER_OF_VALUES[joined[-1]] if joined[-1] in repeatable & NUMBER_OF_VALUES.keys() else 0
             if count and rest and " " not in rest[0]:
                 joined.append(" ".join(rest.popleft() for _ in range(min(count, len(rest)))))
         return super().parse_args(ctx, joined)
 
 
-NUMBER_OF_VALUES = {"--range": 4, "--over": 4, "--at": 2}
+NUMBER_OF_VALUES = {"--range": 4, "--over": 4, "--at": 2, "--wrench": 6}
 """Number of values of each such option."""
 
 
@@ -196,7 +246,7 @@ class RobotOptions:
             "tool_frame": self.tool_frame,
             "package_paths": self.package_path or (),
             "xacro_args": dict(_xacro_argument(text) for text in self.xacro_arg or ()),
-            "drive_stiffness": _drive_stiffness(self.drive_stiffness),
+            "drive_stiffness": numbers_by_name("--drive-stiffness", self.drive_stiffness),
         }
 
     @property
@@ -303,13 +353,14 @@ def _xacro_argument(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _drive_stiffness(texts: list[str] | None) -> float | dict[str, float] | None:
-    """Read `--drive-stiffness`: one number, or numbers by joint."""
-    entries = [entry.strip() for text in texts or () for entry in text.split(",")]
+def numbers_by_name(option: str, texts: list[str] | str | None) -> float | dict[str, float] | None:
+    """Read one number for all drives, or numbers by joint; wrong usage ends the command with status 2."""
+    given = [texts] if isinstance(texts, str) else texts or ()
+    entries = [entry.strip() for text in given for entry in text.split(",")]
     if len(entries) == 1 and "=" not in entries[0]:
         return finite_number(entries[0])
     if wrong := [entry for entry in entries if not all(entry.partition("="))]:
-        raise typer.BadParameter(f"--drive-stiffness {wrong[0]}: expected one number, or JOINT=NUMBER for each drive")
+        raise typer.BadParameter(f"{option} {wrong[0]}: expected one number, or JOINT=NUMBER for each drive")
     return {name: finite_number(value) for name, _, value in (entry.partition("=") for entry in entries)} or None
 
 

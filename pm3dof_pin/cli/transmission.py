@@ -9,7 +9,15 @@ import numpy as np
 import typer
 
 from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_grid
-from pm3dof_pin.cli.options import Json, Payload, PlaceOptions, RobotOptions, finite_number, payloads_of
+from pm3dof_pin.cli.options import (
+    Json,
+    Payload,
+    PlaceOptions,
+    RobotOptions,
+    finite_number,
+    numbers_by_name,
+    payloads_of,
+)
 from pm3dof_pin.cli.output import fixed, message, print_result, table_lines
 from pm3dof_pin.cli.poses import place
 from pm3dof_pin.description.coordinates import shown_in
@@ -84,9 +92,9 @@ def transmission(
         robot = held_outside(robot, subtree)
     robot = joint_driven(robot, _names(joints), _names(drives))
     limits: Any = {
-        "effort": _limits("--effort", effort),
-        "speed": _limits("--speed", speed),
-        "armature": _limits("--armature", armature),
+        "effort": numbers_by_name("--effort", effort),
+        "speed": numbers_by_name("--speed", speed),
+        "armature": numbers_by_name("--armature", armature),
         "payloads": payloads_of(robot, payload),
     }
     kp, kd = _gains(gains)
@@ -224,18 +232,6 @@ def _box_lines(model: SerialModel) -> list[str]:
 
 def _names(text: str | None) -> list[str]:
     return [name.strip() for name in (text or "").split(",") if name.strip()]
-
-
-def _limits(option: str, text: str | None) -> float | dict[str, float] | None:
-    """Read one number for all drives, or numbers by joint."""
-    entries = _names(text)
-    if not entries:
-        return None
-    if len(entries) == 1 and "=" not in entries[0]:
-        return finite_number(entries[0])
-    if wrong := [entry for entry in entries if not all(entry.partition("="))]:
-        raise typer.BadParameter(f"{option} {wrong[0]}: expected one number, or JOINT=NUMBER for each drive")
-    return {name: finite_number(value) for name, _, value in (entry.partition("=") for entry in entries)}
 
 
 def _gains(text: str | None) -> tuple[float | None, float | None]:

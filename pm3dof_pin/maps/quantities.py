@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.maps.capability_quantities import CAPABILITY_QUANTITIES
 from pm3dof_pin.maps.chapter_quantities import CHAPTER_QUANTITIES
 from pm3dof_pin.maps.error_quantities import ERROR_QUANTITIES
 from pm3dof_pin.maps.quantity import Dimension, Evaluation, MappedRobot, Quantity, Unit
@@ -19,6 +20,7 @@ QUANTITIES: dict[str, Quantity] = {
     entry.name: entry
     for entry in (
         *ROBOT_QUANTITIES,
+        *CAPABILITY_QUANTITIES,
         *CHAPTER_QUANTITIES,
         *ERROR_QUANTITIES,
     )

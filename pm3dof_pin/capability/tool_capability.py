@@ -1,0 +1,155 @@
+"""What the tool can do at a pose: how hard it can push in any direction, how fast it can go, and what loads it holds.
+
+With rates c of as many drives as degrees of freedom, all drives move at A c and the tool at T c. A wrench w on the
+environment and the weight are in balance with the drives' forces tau if A^T tau = T^T w + h. Hence T^T w lies in a
+zonotope about -h, the image of the box of the drives' efforts; wrenches that T^T does not see are carried by the
+structure, and unlimited.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import frozen, require_kind
+from pm3dof_pin.capability.polytopes import Polytopes
+from pm3dof_pin.capability.transmission import Limit, drive_values
+from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.kinematics.actuation import independent_drives
+from pm3dof_pin.kinematics.jacobians import jacobian
+from pm3dof_pin.kinematics.pose_values import BatchOptions
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.loads import Payloads
+from pm3dof_pin.typing import Array, Vector
+
+_REACHED = 1e-9  # relative part of a direction that the tool cannot move in, up to which it counts as rounding
+
+
+@dataclass(frozen=True, eq=False)
+class ToolCapability:
+    """Forces and speeds of the tool at many poses, shape=(...); twists and wrenches at the tool point, base axes."""
+
+    drives: tuple[str, ...]  #: names of the u actuated joints
+    tool_rates: Array  #: T, the tool's twist by the rates of independent drives, shape=(..., 6, n)
+    drive_rates: Array  #: A, the rates of all drives by those of independent ones, shape=(..., u, n)
+    weight: Array  #: h, forces at the independent drives that hold all bodies, shape=(..., n) [N, N m]
+    effort: Vector  #: greatest effort of each drive, to either side, shape=(u,) [N, N m]; infinite if unknown
+    speed: Vector  #: greatest speed of each drive, to either side, shape=(u,) [m/s, rad/s]; infinite if unknown
+
+    @cached_property
+    def wrenches(self) -> Polytopes:
+        """Wrenches [f; m] that the tool can exert on its environment, in six dimensions [N, N m].
+
+        Raises:
+            InvalidValueError: the effort of a drive is not described.
+        """
+        _require_known("effort", self.drives, self.effort)
+        forces = Polytopes.from_box(self.drive_rates.swapaxes(-1, -2), -self.effort, self.effort, centre=-self.weight)
+        return forces.pulled_back(self.tool_rates.swapaxes(-1, -2))
+
+    def greatest_wrench(self, directions: ArrayLike) -> Array:
+        """Return how many times each direction the tool can push, with no other load, shape=(...).
+
+        Infinite where the structure alone carries it; NaN where the drives cannot even hold the weight.
+
+        Args:
+            directions: wrenches [f; m], shape=(..., 6) [N, N m].
+        """
+        return self.wrenches.extent(directions)
+
+    def greatest_twist(self, directions: ArrayLike) -> Array:
+        """Return how many times each direction the tool can move at most; 0 where it cannot move that way alone.
+
+        Args:
+            directions: twists [v; omega], shape=(..., 6) [m/s, rad/s].
+
+        Raises:
+            InvalidValueError: the speed of a drive is not described.
+        """
+        _require_known("speed", self.drives, self.speed)
+        wanted = np.broadcast_to(np.asarray(directions, dtype=float), (*self.tool_rates.shape[:-2], 6))
+        known = np.isfinite(self.tool_rates).all(axis=(-2, -1))
+        found = np.full(known.shape, np.nan)
+        rates = np.einsum("...nt,...t->...n", np.linalg.pinv(self.tool_rates[known]), wanted[known])
+        left = np.linalg.norm(np.einsum("...tn,...n->...t", self.tool_rates[known], rates) - wanted[known], axis=-1)
+        moves = Polytopes.from_inequalities(self.drive_rates[known], -self.speed, self.speed).extent(rates)
+        possible = left <= _REACHED * np.linalg.norm(wanted[known], axis=-1)
+        found[known] = np.where(possible, moves, 0.0)
+        return found
+
+    def effort_left(self, wrenches: ArrayLike) -> Array:
+        """Return the share of the drives' efforts that is left under wrenches, the least of them, shape=(...).
+
+        Negative where one of the wrenches cannot be held. With redundant drives, internal forces are chosen best.
+
+        Args:
+            wrenches: wrenches [f; m] of the tool on its environment, shape=(6,) or (k, 6) [N, N m].
+        """
+        rows = np.atleast_2d(np.asarray(wrenches, dtype=float))
+        return np.asarray(np.min([self.wrenches.share_left(wrench) for wrench in rows], axis=0))
+
+
+def tool_capability(
+    robot: Robot,
+    poses: Poses | Configuration | ArrayLike,
+    *,
+    effort: Limit = None,
+    speed: Limit = None,
+    payloads: Payloads | None = None,
+    **options: Unpack[BatchOptions],
+) -> ToolCapability:
+    """Compute what the tool can push, and how fast it can move, within the limits of the drives.
+
+    Example:
+        The tripod, with 500 N a drive, pushes up with what its weight leaves of three times 474 N:
+
+        >>> import pm3dof_pin as pm
+        >>> robot = pm.load("pm3dof")
+        >>> at = pm.tool_capability(robot, robot.home, effort=500.0)
+        >>> float(at.greatest_wrench([0, 0, 1, 0, 0, 0]).round(1))
+        1404.4
+
+    Args:
+        robot: the robot, with a tool and drives.
+        poses: solved poses, a configuration, or q with closed loops, shape=(..., nq) [m, rad].
+        effort: limits of the drives' forces or torques, to either side [N, N m]; the description's by default.
+        speed: limits of their rates [m/s, rad/s]; the description's by default.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia`.
+        options: see :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
+
+    Raises:
+        SingularConfigurationError: the drives do not determine the tool's motion at a pose.
+        InvalidValueError: a limit is negative, or names no drive.
+        DescriptionError: the robot has no tool frame.
+    """
+    require_kind("robot", robot, Robot, "pm.load")
+    if not robot.actuated_joints:
+        raise SingularConfigurationError(f"{robot.name} has no drives")
+    names = [robot.actuated_joints[index] for index in independent_drives(robot.home)]
+    tool = jacobian(robot, poses, of="tool", by=names, **options).values
+    if len(names) < len(robot.actuated_joints):
+        drives = jacobian(robot, poses, of=robot.actuated_joints, by=names, **options).values
+    else:
+        drives = np.where(np.isfinite(tool[..., :1, :1]), np.eye(len(names)), np.nan)
+    model, indices = robot.model, robot.actuated_indices
+    return ToolCapability(
+        drives=robot.actuated_joints,
+        tool_rates=tool,
+        drive_rates=frozen(drives),
+        weight=motion_dynamics(robot, poses, by=names, payloads=payloads, **options).weight,
+        effort=drive_values(robot, "effort", effort, np.array(model.upperEffortLimit)[indices]),
+        speed=drive_values(robot, "speed", speed, np.array(model.upperVelocityLimit)[indices]),
+    )
+
+
+def _require_known(name: str, drives: tuple[str, ...], limits: Vector) -> None:
+    for drive, limit in zip(drives, limits, strict=True):
+        if not np.isfinite(limit):
+            raise InvalidValueError(f"{name} of {drive}", "not described", f"--{name}, or a {name} in the description")

@@ -1,0 +1,134 @@
+"""`pm3dof capability`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from pm3dof_pin.cli.options import (
+    AppliedWrenches,
+    Json,
+    MachineOptions,
+    Payload,
+    PoseOptions,
+    numbers_by_name,
+    payloads_of,
+)
+from pm3dof_pin.cli.output import table_lines
+from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
+from pm3dof_pin.exceptions import InvalidValueError
+
+if TYPE_CHECKING:
+    from pm3dof_pin.capability.tool_capability import ToolCapability
+    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.typing import Array
+
+_LIMITS = "N|JOINT=N,.."
+
+
+def capability(
+    chosen: PoseOptions,
+    which: MachineOptions,
+    effort: Annotated[
+        str | None, typer.Option(metavar=_LIMITS, help="Effort of the drives [N, N m]; the description's by default.")
+    ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option(metavar=_LIMITS, help="Their speed [m/s, rad/s]; the description's by default."),
+    ] = None,
+    wrench: AppliedWrenches = None,
+    payload: Payload = 0.0,
+    as_json: Json = False,
+) -> None:
+    """Say how hard the tool can push and how fast it can go at a pose: angles in degrees, lengths in metres.
+
+    Along and about each axis of the base, to either side, with no other load; "-" where nothing limits it, as the
+    structure alone carries the load. With --wrench, the share of the drives' efforts that these wrenches on the
+    environment leave. Gravity counts. A pose that breaks a joint limit is still computed, with a message and exit
+    status 1.
+    """
+    from pm3dof_pin.capability.tool_capability import tool_capability
+
+    robot = which.load()
+    limits: Any = {
+        "effort": numbers_by_name("--effort", effort),
+        "speed": numbers_by_name("--speed", speed),
+        "payloads": payloads_of(robot, payload),
+    }
+    wrenches = [list(entry) for entry in wrench or ()]
+
+    def columns(poses: Poses) -> dict[str, Array]:
+        at = tool_capability(robot, poses, on_failure="nan", **limits)
+        found = {column_of(f"force_{name}", "N"): value for name, value in zip("xyz", _forces(at).T[:3], strict=True)}
+        if wrenches:
+            found["effort_left"] = at.effort_left(wrenches)
+        return found
+
+    if (pose := solve_chosen(robot, chosen, columns, as_json)) is None:
+        return
+    at = tool_capability(robot, pose, **limits)
+    result = {"payload_kg": payload, "within_limits": bool(pose.within_limits)} | _result(at, wrenches)
+    print_at_pose(pose, result, _lines(result), as_json=as_json)
+
+
+def _forces(at: ToolCapability) -> Array:
+    """Return the greatest force or torque along each axis in the weaker direction, shape=(..., 6)."""
+    return np.stack([np.minimum(at.greatest_wrench(a), at.greatest_wrench(-a)) for a in np.eye(6)], axis=-1)
+
+
+def _result(at: ToolCapability, wrenches: list[list[float]]) -> dict[str, Any]:
+    result: dict[str, Any] = {"drives": at.drives}
+    if np.isfinite(at.effort).all():
+        pushes = {
+            sign: [at.greatest_wrench(factor * a) for a in np.eye(6)] for sign, factor in (("+", 1.0), ("-", -1.0))
+        }
+        result |= {
+            "effort": at.effort,
+            "greatest_force_N": {sign: values[:3] for sign, values in pushes.items()},
+            "greatest_torque_N_m": {sign: values[3:] for sign, values in pushes.items()},
+            "force_polytope_N": _vertices(at),
+        }
+    if np.isfinite(at.speed).all():
+        speeds = [at.greatest_twist(a) for a in np.eye(6)]
+        result |= {"speed": at.speed, "greatest_speed_m_s": speeds[:3], "greatest_speed_rad_s": speeds[3:]}
+    if wrenches:
+        result |= {"wrenches": wrenches, "effort_left": [float(at.effort_left(entry)) for entry in wrenches]}
+    return result
+
+
+def _vertices(at: ToolCapability) -> Array | None:
+    """Return the vertices of the forces without moments; None if they are unbounded."""
+    try:
+        return at.wrenches.pulled_back(np.eye(6)[:, :3]).vertices()
+    except InvalidValueError:
+        return None
+
+
+def _lines(result: dict[str, Any]) -> list[str]:
+    rows = []
+    for k, name in enumerate(TOOL_COMPONENTS):
+        is_length = unit_of(name) == "m"
+        row: list[str] = [name]
+        if "greatest_force_N" in result:
+            part = result["greatest_force_N" if is_length else "greatest_torque_N_m"]
+            row += [_number(part[sign][k % 3]) for sign in "+-"] + ["N" if is_length else "N m"]
+        if "greatest_speed_m_s" in result:
+            row += [_number(result["greatest_speed_m_s" if is_length else "greatest_speed_rad_s"][k % 3])]
+            row += ["m/s" if is_length else "rad/s"]
+        rows.append(row)
+    header = [""]
+    header += ["push +", "push -", ""] if "greatest_force_N" in result else []
+    header += ["speed", ""] if "greatest_speed_m_s" in result else []
+    lines = [line.rstrip() for line in table_lines(header, rows)] if len(header) > 1 else []
+    for entry, left in zip(result.get("wrenches", []), result.get("effort_left", []), strict=True):
+        words = " ".join(f"{number:g}" for number in entry)
+        state = "is held" if left >= 0.0 else "is not held"
+        lines.append(f"wrench {words} {state}: {100.0 * left:.1f} % of the most loaded drive's effort left")
+    return lines
+
+
+def _number(value: float) -> str:
+    return f"{float(value):.6g}" if np.isfinite(value) else "-"

@@ -1,0 +1,56 @@
+"""Quantities of the drives' limits: what the tool can push, and how fast it can move."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pm3dof_pin.capability.tool_capability import ToolCapability, tool_capability
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
+from pm3dof_pin.maps.quantity import Dimension, Evaluation, MappedRobot, Quantity
+from pm3dof_pin.typing import Array
+
+_AXIS = Dimension("axis", lambda mapped: TOOL_COMPONENTS)
+
+
+def _at(evaluation: Evaluation) -> ToolCapability:
+    return tool_capability(evaluation.mapped.robot, evaluation.poses, **evaluation.batch)
+
+
+def _force_capability(evaluation: Evaluation) -> Array:
+    at = _at(evaluation)
+    ends = [np.minimum(at.greatest_wrench(axis), at.greatest_wrench(-axis)) for axis in np.eye(6)]
+    return np.stack(ends, axis=-1)
+
+
+def _speed_capability(evaluation: Evaluation) -> Array:
+    at = _at(evaluation)
+    return np.stack([at.greatest_twist(axis) for axis in np.eye(6)], axis=-1)
+
+
+def _has_limits(limits: str, mapped: MappedRobot) -> bool:
+    robot = mapped.robot
+    if robot.tool_frame is None or not robot.actuated_joints:
+        return False
+    values = np.array(getattr(robot.model, limits))[robot.actuated_indices]
+    return bool(((values > 0.0) & (values < 1e300)).all())
+
+
+CAPABILITY_QUANTITIES = (
+    Quantity(
+        "force_capability",
+        _force_capability,
+        "N (x, y, z), N m (rx, ry, rz)",
+        "greatest force or torque of the tool along each axis, in the weaker direction",
+        (_AXIS,),
+        lambda mapped: _has_limits("upperEffortLimit", mapped),
+    ),
+    Quantity(
+        "speed_capability",
+        _speed_capability,
+        "m/s (x, y, z), rad/s (rx, ry, rz)",
+        "greatest speed of the tool along each axis alone",
+        (_AXIS,),
+        lambda mapped: _has_limits("upperVelocityLimit", mapped),
+    ),
+)
+"""The quantities of a robot whose drives have limits."""

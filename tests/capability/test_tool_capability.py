@@ -1,0 +1,89 @@
+"""Forces and speeds of the tool against linear programs, finite differences and sums that can be done by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import pm3dof_pin as pm
+from pm3dof_pin.dynamics.batch import actuator_forces
+from pm3dof_pin.exceptions import InvalidValueError
+
+_MACHINES = Path(__file__).parents[1] / "machines"
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "five_bar", "four_rrr", "linear_delta"])
+def test_pushes_against_linear_programs(name: str) -> None:
+    """The greatest s for which some forces of the drives balance the weight and s times a wrench: principle of work."""
+    robot = pm.load(_MACHINES / name if (_MACHINES / name).exists() else name)
+    generator = np.random.default_rng(2)
+    poses = pm.reachable_poses(robot, 4, generator)
+    effort, speed = generator.uniform(50.0, 90.0, (2, len(robot.actuated_joints)))
+    at = pm.tool_capability(robot, poses, effort=effort, speed=speed)
+    n = at.tool_rates.shape[-1]
+    for k, direction in enumerate(generator.normal(size=(4, 6))):
+        A, T, h = at.drive_rates[k], at.tool_rates[k], at.weight[k]
+        system = np.hstack([A.T, -(T.T @ direction)[:, None]])
+        ends = [*((-e, e) for e in effort), (0.0, None)]
+        found = linprog([0.0] * len(effort) + [-1.0], A_eq=system, b_eq=h, bounds=ends)
+        np.testing.assert_allclose(at.greatest_wrench(direction)[k], found.x[-1], rtol=1e-8)
+        left = at.effort_left(found.x[-1] * direction)[k]
+        assert abs(left) < 1e-8
+        rates = generator.normal(size=n)
+        fastest = min(speed / np.abs(A @ rates))
+        np.testing.assert_allclose(at.greatest_twist(T @ rates)[k], fastest, rtol=1e-8)
+        assert n == 6 or at.greatest_twist(generator.normal(size=6))[k] == 0.0
+
+
+def test_the_share_left_is_that_of_the_most_loaded_drive() -> None:
+    robot = pm.load("hexapod")
+    poses = pm.reachable_poses(robot, 6, np.random.default_rng(0))
+    at = pm.tool_capability(robot, poses, effort=300.0)
+    wrench = np.array([40.0, -30.0, 200.0, 1.0, 2.0, -3.0])
+    drives = pm.jacobian(robot, poses, of="tool", by="commands").values
+    held = actuator_forces(robot, poses) + np.einsum("ntu,t->nu", drives, wrench)
+    np.testing.assert_allclose(at.effort_left(wrench), 1.0 - np.abs(held).max(axis=1) / 300.0, atol=1e-9)
+    np.testing.assert_allclose(
+        at.effort_left([wrench, -wrench]), np.minimum(at.effort_left(wrench), at.effort_left(-wrench))
+    )
+
+
+def test_a_vertical_push_of_the_level_tripod() -> None:
+    """Virtual work: the drives' forces times their travel per height is the push plus the weight."""
+    robot = pm.load("pm3dof")
+    rate = pm.jacobian(robot, robot.home, of="commands", by=["theta_x", "theta_y", "z_e"]).values[:, 2]
+    weight = sum(body.mass for body in list(robot.model.inertias)[1:]) * 9.81
+    at = pm.tool_capability(robot, robot.home, effort=500.0)
+    up, down = (float(at.greatest_wrench([0, 0, sign, 0, 0, 0])) for sign in (1.0, -1.0))
+    np.testing.assert_allclose(up + down, 2.0 * 500.0 * rate.sum(), rtol=1e-9)
+    assert 0.0 < down - up < 2.0 * weight
+    assert np.isinf(at.greatest_wrench([1, 0, 0, 0, 0, 0]))  # the passive leg carries it
+
+
+def test_a_payload_beyond_the_drives_leaves_nothing() -> None:
+    robot = pm.load("pm3dof")
+    at = pm.tool_capability(robot, robot.home, effort=10.0, payloads={"O_e": 5.0})
+    assert np.isnan(at.greatest_wrench([0, 0, 1, 0, 0, 0]))
+    assert at.effort_left(np.zeros(6)) < 0.0
+
+
+def test_unknown_limits_are_named() -> None:
+    robot = pm.load(_MACHINES / "ankle" / "ankle.xml", tool_frame="sole")
+    at = pm.tool_capability(robot, robot.home)
+    with pytest.raises(InvalidValueError, match=r"speed of left_motor"):
+        at.greatest_twist(np.eye(6)[0])
+
+
+def test_the_command(answer: Callable[..., Any]) -> None:
+    wrench = ["--wrench", "0", "0", "-500", "0", "0", "0", "--wrench", "0", "0", "500", "0", "10", "0"]
+    result = answer("capability", "10", "-15", "0.5", "--effort", "400", *wrench)
+    robot = pm.load("pm3dof")
+    at = pm.tool_capability(robot, robot.solve([np.radians(10.0), np.radians(-15.0), 0.5]), effort=400.0)
+    assert result["greatest_force_N"]["+"][:2] == [None, None]
+    np.testing.assert_allclose(result["greatest_force_N"]["-"][2], at.greatest_wrench([0, 0, -1, 0, 0, 0]))
+    np.testing.assert_allclose(result["effort_left"], [at.effort_left(w) for w in result["wrenches"]])
