@@ -216,7 +216,7 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
         of_these = f"; {idle} of these do not move the tool (such as a rod spinning about its own axis)" if idle else ""
         remarks.append(f"mobility with the drives locked: {free}{of_these}")
     if not robot.springs:
-        remarks.append("no springs: for stiffness, define them in a closures file (springs)")
+        remarks.append("no springs: for stiffness, --drive-stiffness K, or springs in a closures file")
     if result["errors_file"] is None:
         remarks.append(
             "no error file: error maps and calibration use every geometric error of every joint; "

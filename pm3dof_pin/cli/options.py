@@ -147,6 +147,10 @@ _DriveStiffness = Annotated[
 _XacroArg = Annotated[
     list[str] | None, typer.Option(metavar="NAME:=VALUE", help="Argument of a xacro file; may be repeated.")
 ]
+_Lenient = Annotated[
+    bool,
+    typer.Option("--lenient", help="Read over elements of the description that could matter and are not understood."),
+]
 _ErrorFile = Annotated[
     Path | None,
     typer.Option(
@@ -214,6 +218,7 @@ class RobotOptions:
     package_path: _PackagePath = None
     drive_stiffness: _DriveStiffness = None
     xacro_arg: _XacroArg = None
+    lenient: _Lenient = False
 
     def load(self, engine: Engine = "program", threads: int | None = None) -> Robot:
         """Load the robot."""
@@ -246,6 +251,7 @@ class RobotOptions:
             "tool_frame": self.tool_frame,
             "package_paths": self.package_path or (),
             "xacro_args": dict(_xacro_argument(text) for text in self.xacro_arg or ()),
+            "lenient": self.lenient,
             "drive_stiffness": numbers_by_name("--drive-stiffness", self.drive_stiffness),
         }
 

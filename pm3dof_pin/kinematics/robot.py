@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.arrays import finite_array, frozen, real_array, require_choice, require_count
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
+from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.physical_bounds import STIFFNESS
 from pm3dof_pin.exceptions import (
     ConvergenceError,
@@ -57,6 +58,7 @@ class LoadOptions(TypedDict, total=False):
     tool_frame: str | None
     package_paths: Iterable[str | Path]
     xacro_args: Mapping[str, str] | None
+    lenient: bool
     drive_stiffness: float | Mapping[str, float] | None
     characteristic_length: float | None
     engine: Engine
@@ -292,11 +294,12 @@ class Robot(PlacedMechanism):
     @classmethod
     def load(
         cls,
-        source: str | Path | pin.Model | yourdfpy.URDF,
+        source: str | Path | Description | pin.Model | yourdfpy.URDF,
         *,
         tool_frame: str | None = None,
         package_paths: Iterable[str | Path] = (),
         xacro_args: Mapping[str, str] | None = None,
+        lenient: bool = False,
         drive_stiffness: float | Mapping[str, float] | None = None,
         characteristic_length: float | None = None,
         engine: Engine = "program",
@@ -310,12 +313,15 @@ class Robot(PlacedMechanism):
             Robot(hexapod: 24 joints, 6 actuated, 6 closures, tool O_e)
 
         Args:
-            source: name of a robot, or path of a URDF, xacro, MJCF or closures file, or of a folder containing one, see
-                :func:`~pm3dof_pin.description.robots.find_robot`. Or a `pinocchio.Model`, or a `yourdfpy.URDF`: these
-                have no loops; `Robot(model, closures, actuated_joints=..., tool_frame=...)` closes them.
+            source: name of a robot, or path of a URDF, xacro, MJCF, SDF or closures file, or of a folder containing
+                one, see :func:`~pm3dof_pin.description.robots.find_robot`. Or a description, a `pinocchio.Model`, or a
+                `yourdfpy.URDF`: the last two have no loops; `Robot(model, closures, actuated_joints=...,
+                tool_frame=...)` closes them.
             tool_frame: tool frame, instead of the described one.
             package_paths: folders of ROS packages.
             xacro_args: values of the arguments of a xacro file, by name.
+            lenient: read over elements that could carry a loop, a coupling or a drive and are not understood; by
+                default they are refused.
             drive_stiffness: see :meth:`with_drive_stiffness` [N/m, N m/rad].
             characteristic_length: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism` [m].
             engine: see :meth:`with_engine`.
@@ -328,7 +334,9 @@ class Robot(PlacedMechanism):
             JointNotFoundError: the closures file names a joint that the tree does not have.
             InvalidValueError: the source is none of these.
         """
-        described = read_source(source, tool_frame=tool_frame, package_paths=package_paths, xacro_args=xacro_args)
+        described = read_source(
+            source, tool_frame=tool_frame, package_paths=package_paths, xacro_args=xacro_args, lenient=lenient
+        )
         robot = cls(**described, characteristic_length=characteristic_length, engine=engine, threads=threads)
         return robot if drive_stiffness is None else robot.with_drive_stiffness(drive_stiffness)
 

@@ -252,7 +252,7 @@ class _Reader:
             [np.where(seen[:, k], table.get(name, 0.0), expected[:, k]) for k, name in enumerate(_POSITION)]
         )
         if rotations is not None:
-            rotations = np.where(seen[:, 3:].any(axis=1, keepdims=True)[:, :, None], rotations, nominal.rotations)
+            rotations = np.where(np.any(seen[:, 3:], axis=1)[:, None, None], rotations, nominal.rotations)
         sigmas = np.where(seen, sigmas, np.inf)
         registration = self._registration(expected, positions, nominal, rotations) if own_frame else None
         if registration is not None:

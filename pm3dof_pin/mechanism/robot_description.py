@@ -28,6 +28,7 @@ def read_source(
     tool_frame: str | None = None,
     package_paths: Iterable[str | Path] = (),
     xacro_args: Mapping[str, str] | None = None,
+    lenient: bool = False,
 ) -> dict[str, Any]:
     """Read what :func:`pm3dof_pin.load` takes into the arguments of a mechanism.
 
@@ -36,16 +37,18 @@ def read_source(
         DescriptionError, JointNotFoundError: as :func:`read_description`.
     """
     if isinstance(source, (str, Path)):
-        return read_description(find_robot(source, package_paths, xacro_args), tool_frame)
+        return read_description(find_robot(source, package_paths, xacro_args), tool_frame, lenient=lenient)
     if given := [name for name, value in (("package_paths", package_paths), ("xacro_args", xacro_args)) if value]:
         problem = f"are for descriptions in files, not for a {type(source).__name__}"
         raise InvalidValueError(given[0], problem=problem)
+    if isinstance(source, Description):
+        return arguments_of(replace(source, tool_frame=tool_frame or source.tool_frame))
     if isinstance(source, pin.Model):
         model = source.copy()
         _free_joints_without_limits(model, (), source.name)
         return {"model": model, "tool_frame": tool_frame}
     if any(kind.__module__.partition(".")[0] == "yourdfpy" for kind in type(source).__mro__):
-        return read_description(find_robot(_urdf_file(source)), tool_frame)
+        return read_description(find_robot(_urdf_file(source)), tool_frame, lenient=lenient)
     raise InvalidValueError(
         "robot",
         problem=f"is of type {type(source).__name__}",

@@ -111,3 +111,13 @@ def test_without_springs_the_message_names_the_ways_out() -> None:
         pm.compliance(pm.load("ur5"), np.zeros(6))
     with pytest.raises(DescriptionError, match="none to give a drive stiffness to"):
         pm.load(pin.Model(), drive_stiffness=1e7)
+
+
+def test_lenient_reads_over_what_is_not_understood(tmp_path: Path, run: Any) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text('<robot name="arm"><link name="base"/><jonit/></robot>')
+    with pytest.raises(DescriptionError, match=r"line 1: <jonit>.*--lenient"):
+        pm.load(path)
+    assert pm.load(path, lenient=True).model.nq == 0
+    assert run("info", "--robot", str(path)).returncode == 1
+    assert run("info", "--robot", str(path), "--lenient").returncode == 0
