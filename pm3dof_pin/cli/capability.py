@@ -23,7 +23,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 
 if TYPE_CHECKING:
     from pm3dof_pin.capability.tool_capability import ToolCapability
-    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.kinematics.robot import Poses
     from pm3dof_pin.typing import Array
 
 _LIMITS = "N|JOINT=N,.."

@@ -90,23 +90,6 @@ class WrenchNumbers(NamedTuple):
         return cls(*numbers)
 
 
-Wrenches = Annotated[
-    tuple[float, float, float, float, float, float] | None,
-    typer.Option(
-        "--wrench",
-        metavar="FX FY FZ MX MY MZ",
-        help="Load the tool with known wrenches of up to plus or minus these components [N, N m].",
-    ),
-]
-
-
-def _six_numbers(text: str) -> list[float]:
-    numbers = [finite_number(word) for word in text.split()]
-    if len(numbers) != NUMBER_OF_VALUES["--wrench"]:
-        raise typer.BadParameter(f"expected FX FY FZ MX MY MZ, not '{text}'")
-    return numbers
-
-
 AppliedWrenches = Annotated[
     list[WrenchNumbers] | None,
     typer.Option(
