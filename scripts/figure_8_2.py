@@ -10,7 +10,7 @@ from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.figures.style import FORMATS, save_pictures
 from pm3dof_pin.figures.workspace import workspace_figure
 from pm3dof_pin.maps.chapter_workspace import compare_printed_ranges, printed_ranges, tripod_space
-from pm3dof_pin.maps.storage import write_csv
+from pm3dof_pin.maps.datasets import write_csv
 from pm3dof_pin.maps.workspace import workspace
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"

@@ -19,9 +19,9 @@ from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.pose_error import energy, pose_difference, tip_error
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import FORMATS, save_pictures
-from pm3dof_pin.maps.error_section import error_section, errors_over
+from pm3dof_pin.maps.datasets import write_csv
+from pm3dof_pin.maps.grid_map import error_section, errors_over
 from pm3dof_pin.maps.limit_space import limits_over
-from pm3dof_pin.maps.storage import write_csv
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.worlds import World
 

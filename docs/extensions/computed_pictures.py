@@ -29,8 +29,7 @@ from pm3dof_pin.kinematics.robot import Robot, load
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
 from pm3dof_pin.maps.chapter_section import section_values, stiffness_section
 from pm3dof_pin.maps.chapter_workspace import printed_ranges, tripod_space
-from pm3dof_pin.maps.error_section import error_section, errors_over
-from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
+from pm3dof_pin.maps.grid_map import error_section, errors_over, quantities_over, quantity_map
 from pm3dof_pin.maps.limit_space import limits_over, robot_space
 from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.maps.workspace import workspace

@@ -42,8 +42,8 @@ def map_budget(
     import numpy as np
 
     from pm3dof_pin.errors.error_budget import budget_as_data
-    from pm3dof_pin.maps.error_budget_map import LEAST_SENSITIVE, budget_map
-    from pm3dof_pin.maps.storage import write_map
+    from pm3dof_pin.maps.datasets import write_map
+    from pm3dof_pin.maps.grid_map import LEAST_SENSITIVE, budget_map
     from pm3dof_pin.measuring.measurement_file import write_plan
 
     dataset, budget = budget_map(sources, grid_or_poses, eta=eta, names=names)

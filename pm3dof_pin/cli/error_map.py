@@ -104,10 +104,9 @@ def error_map(
     from pm3dof_pin.errors.error_map import error_map as error_map_at
     from pm3dof_pin.errors.error_map import section_grid
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-    from pm3dof_pin.maps.error_budget_map import whole_workspace_grid
-    from pm3dof_pin.maps.error_section import error_section, errors_over
+    from pm3dof_pin.maps.datasets import write_map
+    from pm3dof_pin.maps.grid_map import error_section, errors_over, whole_workspace_grid
     from pm3dof_pin.maps.limit_space import limits_over
-    from pm3dof_pin.maps.storage import write_map
 
     if sum([samples is not None, bool(over or at), whole]) > 1:
         raise typer.BadParameter("expected only one of --samples, --whole, or --over with --at")

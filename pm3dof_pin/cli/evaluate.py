@@ -63,8 +63,8 @@ def evaluate(
     what part of the workspace, and the least gain from making it 10 % stiffer.
     """
     from pm3dof_pin.files import write_text_atomically
+    from pm3dof_pin.maps.datasets import write_netcdf
     from pm3dof_pin.maps.quantity import MappedRobot
-    from pm3dof_pin.maps.storage import write_netcdf
     from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 
     known = known_quantities(quantity)

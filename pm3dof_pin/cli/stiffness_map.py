@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.maps.named_arrays import Map
+    from pm3dof_pin.maps.datasets import Map
     from pm3dof_pin.typing import Array, Engine, Mask
 
 _LEAST_TO_DRAW = 3
@@ -87,8 +87,8 @@ def stiffness_map(
         raise typer.BadParameter(f"{loaded.name} has fewer than two coordinates to map over")
     mapped = MappedRobot(loaded)
     with progress_bar("stiffness map") as progress:
+        from pm3dof_pin.maps.datasets import write_map
         from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
-        from pm3dof_pin.maps.storage import write_map
         from pm3dof_pin.maps.workspace_evaluation import stiffness_quantities
 
         quantities = (*stiffness_quantities(mapped), "first_frequency")
@@ -121,7 +121,7 @@ def _ranges(dataset: Map) -> dict[str, dict[str, Any]]:
     """Return the least, greatest and mean finite value of every entry of the map."""
     import numpy as np
 
-    from pm3dof_pin.maps.labels import unit_of_entry
+    from pm3dof_pin.maps.datasets import unit_of_entry
 
     ranges = {}
     for name, label, index in _entries(dataset):
@@ -213,7 +213,7 @@ def _map_of_chapter(
     from pm3dof_pin.chapter.table_8_3 import table_8_3
     from pm3dof_pin.chapter.tilt_grids import RectangularGrid
     from pm3dof_pin.maps.chapter_section import section_values, stiffness_section
-    from pm3dof_pin.maps.storage import write_map
+    from pm3dof_pin.maps.datasets import write_map
 
     tripod, machine = which.tripod(), which.load() if engine == "pinocchio" else None
     angle = math.radians(_DEFAULT_TILT if tilt is None else tilt)

@@ -62,7 +62,7 @@ def workspace(
     """
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.chapter_workspace import compare_printed_ranges, printed_ranges, tripod_space
-    from pm3dof_pin.maps.storage import write_map
+    from pm3dof_pin.maps.datasets import write_map
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
     given = which.robot or coordinate or values or which.tool_frame or engine != "program" or beyond_ranges

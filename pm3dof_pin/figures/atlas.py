@@ -26,7 +26,7 @@ from pm3dof_pin.figures.labels import (
 )
 from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, draw_map, edge_handles, outlined_mesh
 from pm3dof_pin.figures.style import COLORMAP, ONE_COLUMN, TWO_COLUMNS, house_style, new_figure, round_ticks
-from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
+from pm3dof_pin.maps.datasets import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.maps.limit_space import limits_over
 from pm3dof_pin.typing import Array, Mask
 

@@ -22,7 +22,7 @@ from pm3dof_pin.figures.style import (
     house_style,
     new_figure,
 )
-from pm3dof_pin.maps.error_budget_map import LEAST_SENSITIVE
+from pm3dof_pin.maps.grid_map import LEAST_SENSITIVE
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:

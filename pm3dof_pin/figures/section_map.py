@@ -32,7 +32,6 @@ from pm3dof_pin.figures.labels import (
     typeset,
 )
 from pm3dof_pin.figures.outlined_mesh import Within, outlined_mesh
-from pm3dof_pin.figures.space import towards_viewer
 from pm3dof_pin.figures.style import (
     COLORMAP,
     END_LINE,
@@ -42,8 +41,9 @@ from pm3dof_pin.figures.style import (
     house_style,
     new_figure,
     round_ticks,
+    towards_viewer,
 )
-from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
+from pm3dof_pin.maps.datasets import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -18,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 import pm3dof_pin
 from pm3dof_pin.figures.labels import plain
 from pm3dof_pin.files import write_atomically
+from pm3dof_pin.typing import Array
 
 COLORMAP = "viridis"  # perceptually uniform: readable without colour vision and in greyscale
 DPI = 300
@@ -98,6 +100,16 @@ def round_ticks(axes: Any, across: int = 5, up: int = 5) -> None:
     """Set ticks at round numbers, at most so many along each axis."""
     for axis, count in ((axes.xaxis, across), (axes.yaxis, up)):
         axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
+
+
+def towards_viewer(elevation: float, azimuth: float) -> Array:
+    """Return the unit vector towards the viewer of a drawing in space at an elevation and azimuth [deg].
+
+    Matplotlib sorts by depth only within one collection: lines in a surface are in its collection, shifted slightly
+    along this vector, so that they are sorted in front of it.
+    """
+    up, around = np.radians([elevation, azimuth])
+    return np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
 
 
 @contextmanager

@@ -17,8 +17,16 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
 from pm3dof_pin.figures.labels import axis_label, drawn, plain, symbol
-from pm3dof_pin.figures.space import flat_quadrilaterals, towards_viewer
-from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, limit_styles, new_figure, round_ticks
+from pm3dof_pin.figures.style import (
+    INK,
+    ONE_COLUMN,
+    TWO_COLUMNS,
+    house_style,
+    limit_styles,
+    new_figure,
+    round_ticks,
+    towards_viewer,
+)
 from pm3dof_pin.maps.limit_space import Flags
 from pm3dof_pin.maps.workspace import Workspace, WorkspaceSection
 from pm3dof_pin.typing import Array
@@ -188,7 +196,13 @@ def _raised(outline: Array, level: float, towards: Array) -> Array:
     """Return the part of an outline that faces the viewer, as flat polygons at its level, shape=(n, 4, 3)."""
     along = outline[:, 1] - outline[:, 0]
     corners = outline[along[:, 1] * towards[0] - along[:, 0] * towards[1] > 0.0]
-    return flat_quadrilaterals(np.concatenate([corners, np.full((*corners.shape[:2], 1), level)], axis=2))
+    return _flat_quadrilaterals(np.concatenate([corners, np.full((*corners.shape[:2], 1), level)], axis=2))
+
+
+def _flat_quadrilaterals(lines: Array) -> Array:
+    """Return the segments of lines, shape=(n, k, 3), as flat polygons (p, q, q, p), to be sorted with a body's."""
+    start, end = lines[:, :-1], lines[:, 1:]
+    return np.stack([start, end, end, start], axis=2).reshape(-1, 4, 3)
 
 
 def _dashed(ranges: Array) -> Array:
@@ -196,7 +210,7 @@ def _dashed(ranges: Array) -> Array:
     corners = np.array(list(itertools.product(*ranges)))
     edges = [(p, q) for p in range(8) for q in range(p) if np.sum(corners[p] != corners[q]) == 1]
     lines = np.stack([np.linspace(corners[p], corners[q], _DASHES) for p, q in edges])
-    return flat_quadrilaterals(lines)[::2]
+    return _flat_quadrilaterals(lines)[::2]
 
 
 def _draw_outlines(axes: Any, sheet: _Sheet) -> None:

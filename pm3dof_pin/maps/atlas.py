@@ -41,7 +41,7 @@ from pm3dof_pin.exceptions import (
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas_store import AtlasStore, Block, Variable, exclusive_run, require_intact
-from pm3dof_pin.maps.labels import BROKEN_LIMITS, dataset_attributes, flag_attributes, flag_type, limit_names
+from pm3dof_pin.maps.datasets import BROKEN_LIMITS, dataset_attributes, flag_variable, limit_names
 from pm3dof_pin.maps.quantities import select_quantities
 from pm3dof_pin.maps.quantity import Evaluation, MappedRobot, Quantity
 
@@ -189,8 +189,8 @@ class Atlas:
 
     def _flags(self) -> Variable:
         names = limit_names(self.mapped.robot)
-        attributes = flag_attributes(names, "limits that exclude the pose; 0: none")
-        return Variable(BROKEN_LIMITS, {}, flag_type(names), 0, attributes)
+        none = flag_variable((), np.zeros(()), names, "limits that exclude the pose; 0: none")
+        return Variable(BROKEN_LIMITS, {}, none.values.dtype, 0, none.attrs)
 
 
 def compute_atlas(

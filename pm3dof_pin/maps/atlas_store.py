@@ -30,7 +30,7 @@ import numpy as np
 
 from pm3dof_pin.exceptions import DescriptionError, OutputError
 from pm3dof_pin.files import write_atomically
-from pm3dof_pin.maps.labels import BROKEN_LIMITS
+from pm3dof_pin.maps.datasets import BROKEN_LIMITS
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness,
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.maps.labels import BROKEN_LIMITS, dataset_attributes, flag_attributes
-from pm3dof_pin.maps.named_arrays import NamedArray, NamedArrays
+from pm3dof_pin.maps.datasets import BROKEN_LIMITS, NamedArray, NamedArrays, dataset_attributes, flag_variable
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ def stiffness_section(
         name: NamedArray(dims, np.where(flags == 0, values, np.nan), _attributes(name))
         for name, values in _stiffness(tripod, poses, robot).items()
     }
-    broken = NamedArray(dims, flags, flag_attributes(LIMIT_NAMES, "joint limits that the pose breaks"))
+    broken = flag_variable(dims, flags, LIMIT_NAMES, "joint limits that the pose breaks")
     coordinates = {
         f"theta_{axis}": NamedArray((dim,), values, _labels("rad", f"rotation of the platform about {axis}"))
         for axis, dim, values in zip("xy", dims, grid.axes, strict=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.maps.labels import limit_names
+from pm3dof_pin.maps.datasets import limit_names
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.maps.labels import coordinate_attributes, dataset_attributes, flag_attributes, flag_type
+from pm3dof_pin.maps.datasets import NamedArray, NamedArrays, coordinate_attributes, dataset_attributes, flag_variable
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace
-from pm3dof_pin.maps.named_arrays import NamedArray, NamedArrays
 from pm3dof_pin.typing import Array, Mask
 
 _SEARCH_POINTS = 33  # along each coordinate of the first grid
@@ -153,9 +152,9 @@ class Workspace:
         levels = np.repeat(self.levels, [len(section.points) for section in self.sections])
         limits = np.concatenate([np.empty(0), *(part for s in self.sections for part in s.limits)])
         columns = np.column_stack([points, levels])[:, : len(space.names)]
-        attributes = flag_attributes(space.limits, "limits that end the reachable set")
+        binding = flag_variable(("point",), limits, space.limits, "limits that end the reachable set")
         return NamedArrays(
-            {"binding_limits": NamedArray(("point",), limits.astype(flag_type(space.limits)), attributes)},
+            {"binding_limits": binding},
             {
                 name: NamedArray(("point",), column, coordinate_attributes(name, unit, space.machine))
                 for name, unit, column in zip(space.names, space.units, columns.T, strict=True)

@@ -23,8 +23,8 @@ from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.quantities import STIFFNESS
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.maps.datasets import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.maps.grid_map import quantity_map
-from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.typing import Array, Mask
 

@@ -15,8 +15,7 @@ from matplotlib.patheffects import withStroke
 from pm3dof_pin.chapter.kinematics import Legs, placement
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import UnreachablePoseError
-from pm3dof_pin.figures.space import towards_viewer
-from pm3dof_pin.figures.style import INK, TWO_COLUMNS, house_style, new_figure
+from pm3dof_pin.figures.style import INK, TWO_COLUMNS, house_style, new_figure, towards_viewer
 from pm3dof_pin.typing import Array
 
 _ELEVATION, _AZIMUTH = 21.0, -52.0  # viewing direction [deg]

@@ -18,12 +18,12 @@ from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.figures.least_sensitive_region import least_sensitive_region
 from pm3dof_pin.kinematics.robot import Poses, Robot
-from pm3dof_pin.maps.error_budget_map import (
+from pm3dof_pin.maps.grid_map import (
     LEAST_SENSITIVE,
     budget_map,
+    quantity_map,
     whole_workspace_grid,
 )
-from pm3dof_pin.maps.grid_map import quantity_map
 from pm3dof_pin.maps.quantity import MappedRobot
 
 

@@ -22,7 +22,7 @@ from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.error_section import ERROR_VARIABLES, error_section, errors_over
+from pm3dof_pin.maps.grid_map import ERROR_VARIABLES, error_section, errors_over
 from pm3dof_pin.maps.limit_space import limits_over
 
 Run = Callable[..., Any]

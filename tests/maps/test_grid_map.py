@@ -12,9 +12,9 @@ import xarray as xr
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.datasets import write_csv, write_netcdf
 from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
 from pm3dof_pin.maps.quantity import MappedRobot
-from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
 
 @pytest.fixture(scope="module")

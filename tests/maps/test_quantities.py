@@ -22,7 +22,7 @@ from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.export.description import temporary_description
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas import open_atlas
-from pm3dof_pin.maps.labels import unit_of_entry
+from pm3dof_pin.maps.datasets import unit_of_entry
 from pm3dof_pin.maps.quantities import QUANTITIES, quantity, select_quantities
 from pm3dof_pin.maps.quantity import Evaluation, MappedRobot, Quantity
 from pm3dof_pin.typing import Array, Engine

@@ -16,7 +16,7 @@ from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.maps.chapter_section import stiffness_section
 from pm3dof_pin.maps.chapter_workspace import tripod_space
-from pm3dof_pin.maps.storage import write_csv, write_netcdf
+from pm3dof_pin.maps.datasets import write_csv, write_netcdf
 from pm3dof_pin.maps.workspace import workspace
 
 UNIT_OF_HEADING = {

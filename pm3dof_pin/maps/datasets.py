@@ -1,21 +1,100 @@
-"""Writing maps: NetCDF for programs, CSV for a spreadsheet."""
+"""Labelled maps: arrays with named dimensions and metadata (CF conventions), written as NetCDF and CSV.
+
+They have the fields of an xarray dataset without loading xarray, which takes longer than a whole map of the chapter.
+"""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+import pm3dof_pin
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import csv_text, write_atomically, write_text_atomically
-from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
-    from pm3dof_pin.maps.named_arrays import Labelled, Map
+    import xarray as xr
+
+    from pm3dof_pin.kinematics.robot import Robot
+
+BROKEN_LIMITS = "broken_limits"
+
+
+class NamedArray(NamedTuple):
+    """One variable or coordinate."""
+
+    dims: tuple[str, ...]  #: names of the dimensions of `values`
+    values: NDArray[Any]
+    attrs: dict[str, Any]  #: units, long name and other attributes of the CF conventions
+
+
+@dataclass(frozen=True, eq=False)
+class NamedArrays:
+    """A map, with the fields of an `xarray.Dataset`."""
+
+    data_vars: Mapping[Any, NamedArray]
+    coords: Mapping[Any, NamedArray]
+    attrs: dict[str, Any]
+
+    @property
+    def variables(self) -> Mapping[Any, NamedArray]:
+        """Coordinates and variables by name."""
+        return {**self.coords, **self.data_vars}
+
+    def dataset(self) -> xr.Dataset:
+        """Return the map as a dataset."""
+        import xarray as xr
+
+        return xr.Dataset(self.data_vars, self.coords, self.attrs)
+
+
+if TYPE_CHECKING:
+    _Labelled: TypeAlias = NamedArray | xr.DataArray | xr.Variable
+    Map: TypeAlias = NamedArrays | xr.Dataset
+
+
+def dataset_attributes(title: str, machine: str) -> dict[str, str]:
+    """Return the attributes of a dataset of a machine."""
+    source = f"pm3dof-pin {pm3dof_pin.__version__}"
+    return {"Conventions": "CF-1.8", "title": title, "machine": machine, "source": source}
+
+
+def coordinate_attributes(name: str, unit: str, machine: str) -> dict[str, str]:
+    """Return the attributes of a coordinate of a machine."""
+    return {"units": unit, "long_name": f"coordinate {name} of {machine}"}
+
+
+def limit_names(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the bits of :attr:`~pm3dof_pin.kinematics.robot.Poses.broken_limits`, in order."""
+    return ("reach", *(group.name for group in robot.limit_groups))
+
+
+def flag_variable(dims: tuple[str, ...], flags: NDArray[Any], names: tuple[str, ...], long_name: str) -> NamedArray:
+    """Return sums of flags, named from the lowest bit, as a variable of the smallest type with a bit for each name."""
+    kind = np.min_scalar_type((1 << len(names)) - 1)
+    attributes = {
+        "long_name": long_name,
+        "flag_masks": np.array([1 << bit for bit in range(len(names))], dtype=kind),
+        "flag_meanings": " ".join(names),
+        "comment": "sum of the flags; zero within all limits",
+    }
+    return NamedArray(dims, np.asarray(flags).astype(kind), attributes)
+
+
+def unit_of_entry(units: str, entry: str) -> str:
+    """Return an entry's unit from "N/m (x, y, z), N m/rad (rx, ry, rz)"; a common unit stays as it is."""
+    for part in units.split("), "):
+        unit, _, entries = part.rstrip(")").partition(" (")
+        if entry in entries.split(", "):
+            return unit
+    return units
 
 
 def write_map(dataset: Map, path: Path) -> list[Path]:
@@ -80,7 +159,7 @@ def write_csv(dataset: Map, path: Path | str) -> Path:
 def _columns(dataset: Map) -> Iterator[tuple[str, list[str]]]:
     """Header and cells of each column."""
     coordinates = [str(name) for name, coordinate in dataset.coords.items() if "units" in coordinate.attrs]
-    variables: list[Labelled] = list(dataset.data_vars.values())
+    variables: list[_Labelled] = list(dataset.data_vars.values())
     template = min(variables, key=lambda variable: len(variable.dims))
     for name in (*coordinates, *map(str, dataset.data_vars)):
         variable = dataset.variables[name]
@@ -99,7 +178,7 @@ def _columns(dataset: Map) -> Iterator[tuple[str, list[str]]]:
             yield _column_of_numbers("_".join([name, *labels]), unit, values[index])
 
 
-def _over(template: Labelled, own: tuple[Hashable, ...], variable: Labelled) -> Array:
+def _over(template: _Labelled, own: tuple[Hashable, ...], variable: _Labelled) -> Array:
     """Return the values of a variable over the dimensions of another, and then over its own."""
     dims = [*template.dims, *own]
     present = [dim for dim in dims if dim in variable.dims]
