@@ -12,14 +12,18 @@ from pm3dof_pin.viewer.scene import Json
 
 
 def clips(tracks: Mapping[str, Sequence[Array]], frames_per_second: float) -> list[Json]:
-    """Return the transforms of each path, one per frame, shape=(4, 4) each, as an animation for the page."""
-    return [
-        {"path": path, "clip": {"fps": frames_per_second, "name": "path", "tracks": _tracks(transforms)}}
-        for path, transforms in tracks.items()
-    ]
+    """Return the transforms of each path, one per frame, shape=(4, 4) each, as an animation for the page.
+
+    The axes of ellipsoids, below /ellipsoids, are ordered and signed for interpolation.
+    """
+    found = []
+    for path, transforms in tracks.items():
+        moved = _aligned_ellipsoids(transforms) if path.startswith("/ellipsoids/") else transforms
+        found.append({"path": path, "clip": {"fps": frames_per_second, "name": "path", "tracks": _tracks(moved)}})
+    return found
 
 
-def aligned_ellipsoids(transforms: Sequence[Array]) -> list[Array]:
+def _aligned_ellipsoids(transforms: Sequence[Array]) -> list[Array]:
     """Return transforms of ellipsoids, shape=(4, 4) each, with axes ordered and signed for interpolation.
 
     The order and signs of an ellipsoid's axes are arbitrary; of the 24 right-handed choices, each frame takes the one

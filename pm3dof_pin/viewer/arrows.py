@@ -44,8 +44,17 @@ class ActuatorAxis:
         """Unit of its actuator's force."""
         return "N m" if self.turns else "N"
 
+    def draw(self, scene: Scene, path: str) -> None:
+        """Draw an arrow of length 1 and half width 1 along z at a path, with one head for a force, two for a moment."""
+        parts: dict[str, tuple[Json, float]] = {"shaft": (objects.cylinder(0.35, 0.75), 0.375)}
+        for head in range(1 + self.turns):
+            parts[f"head{head}"] = (objects.cylinder(1.0, 0.28, 0.0), 0.86 - 0.2 * head)
+        for name, (geometry, height) in parts.items():
+            scene.set_object(f"{path}/{name}", objects.mesh(geometry, COLOUR, overlaid=True), casts_shadow=False)
+            scene.set_transform(f"{path}/{name}", objects.transform(translation=[0.0, 0.0, height]) @ objects.Y_TO_Z)
+
     def arrow(self, force: float, *, scale: float, width: float) -> Array:
-        """Return the transform that makes the arrow of :func:`draw_arrow` a force [N, N m] on the axis, shape=(4, 4).
+        """Return the transform that makes the arrow of :meth:`draw` a force [N, N m] on the axis, shape=(4, 4).
 
         A force of 1 has length `scale` [m]; the half width of the head is `width` [m], less for short arrows.
         """
@@ -53,16 +62,6 @@ class ActuatorAxis:
         length = max(scale * abs(force), _LEAST * width)
         slim = min(width, 0.5 * length)
         return objects.transform(turn * np.array([slim, slim, length]), self.origin)
-
-
-def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
-    """Draw an arrow of length 1 and half width 1 along z at a path, with one head for a force, two for a moment."""
-    parts: dict[str, tuple[Json, float]] = {"shaft": (objects.cylinder(0.35, 0.75), 0.375)}
-    for head in range(heads):
-        parts[f"head{head}"] = (objects.cylinder(1.0, 0.28, 0.0), 0.86 - 0.2 * head)
-    for name, (geometry, height) in parts.items():
-        scene.set_object(f"{path}/{name}", objects.overlaid_mesh(geometry, COLOUR), casts_shadow=False)
-        scene.set_transform(f"{path}/{name}", objects.transform(translation=[0.0, 0.0, height]) @ objects.Y_TO_Z)
 
 
 def draw_frame(scene: Scene, path: str, placement: ArrayLike, size: float) -> None:

@@ -67,25 +67,6 @@ def find_browser() -> Path:
     return Path(found)
 
 
-def pictures_of(html: str, width: int, height: int, *, around: int = 0) -> list[bytes]:
-    """Return a picture (PNG) of a page of this package, size in pixels; BrowserError if no browser can draw it.
-
-    With `around`, return this many pictures without the panel, from a camera that circles the machine once.
-    """
-    with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, Browser(width, height) as browser:
-        file = Path(folder) / "page.html"
-        file.write_text(html, encoding="utf-8")
-        browser.open(file.as_uri())
-        if not around:
-            return [browser.picture()]
-        browser.evaluate("pm3dof.bare()")
-        pictures = []
-        for _ in range(around):
-            pictures.append(browser.picture())
-            browser.evaluate(f"pm3dof.turn({360.0 / around})")
-        return pictures
-
-
 class Browser:
     """A headless browser with one page; ends with its `with` block. BrowserError if none starts."""
 
@@ -107,6 +88,25 @@ class Browser:
         except BaseException:
             self.close()
             raise
+
+    @classmethod
+    def pictures_of(cls, html: str, width: int, height: int, *, around: int = 0) -> list[bytes]:
+        """Return a picture (PNG) of a page of this package, size in pixels; BrowserError if it cannot be drawn.
+
+        With `around`, return this many pictures without the panel, from a camera that circles the machine once.
+        """
+        with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, cls(width, height) as browser:
+            file = Path(folder) / "page.html"
+            file.write_text(html, encoding="utf-8")
+            browser.open(file.as_uri())
+            if not around:
+                return [browser.picture()]
+            browser.evaluate("pm3dof.bare()")
+            pictures = []
+            for _ in range(around):
+                pictures.append(browser.picture())
+                browser.evaluate(f"pm3dof.turn({360.0 / around})")
+            return pictures
 
     def resize(self, width: int, height: int) -> None:
         """Resize the page [pixels]."""

@@ -49,23 +49,21 @@ def triangles(vertices: ArrayLike, faces: ArrayLike, colours: ArrayLike | None =
     return {"type": "BufferGeometry", "data": {"attributes": attributes, "index": {"type": kind, "array": index}}}
 
 
-def mesh(geometry: Json, colour: Colour, *, opacity: float = 1.0) -> Json:
-    """Return an object with a material, translucent if its opacity is below 1."""
+def mesh(geometry: Json, colour: Colour | None, *, opacity: float = 1.0, overlaid: bool = False) -> Json:
+    """Return an object with a material, translucent if its opacity is below 1.
+
+    Without a colour it has those of its vertices, unaffected by light, so that they match a scale. If `overlaid` it is
+    drawn over all others, even if it is inside them.
+    """
+    if colour is None:
+        material: Json = {"type": "MeshBasicMaterial", "color": 0xFFFFFF, "vertexColors": True}
+    else:
+        material = {"type": "MeshStandardMaterial", "color": _hexadecimal(colour), "roughness": 0.62, "metalness": 0.08}
+    if overlaid:  # opaque objects are drawn first, so this one must be translucent
+        return _lowered("Mesh", geometry, {**material, "depthTest": False, "transparent": True, "opacity": 0.999})
     # smooth shading needs consistent winding, which foreign meshes may lack
-    flat = geometry["type"] == "BufferGeometry"
-    return _lowered("Mesh", geometry, {**_matt(colour), "flatShading": flat, "side": 2, **_translucent(opacity)})
-
-
-def overlaid_mesh(geometry: Json, colour: Colour) -> Json:
-    """Return an object drawn over all others, even if it is inside them."""
-    # opaque objects are drawn first, so this one must be translucent
-    return _lowered("Mesh", geometry, {**_matt(colour), "depthTest": False, "transparent": True, "opacity": 0.999})
-
-
-def coloured_mesh(geometry: Json, *, opacity: float) -> Json:
-    """Return a surface in the colours of its vertices, unaffected by light, so that they match a scale."""
-    material = {"type": "MeshBasicMaterial", "color": 0xFFFFFF, "vertexColors": True, "side": 2}
-    return _lowered("Mesh", geometry, {**material, **_translucent(opacity)})
+    flat = {"flatShading": geometry["type"] == "BufferGeometry"} if colour else {}
+    return _lowered("Mesh", geometry, {**material, **flat, "side": 2, **_translucent(opacity)})
 
 
 def line_segments(points: ArrayLike, colour: Colour, *, opacity: float = 1.0) -> Json:
@@ -117,10 +115,6 @@ def turn_z_to(direction: ArrayLike) -> NDArray[np.float64]:
 
 
 Y_TO_Z = transform([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-
-
-def _matt(colour: Colour) -> Json:
-    return {"type": "MeshStandardMaterial", "color": _hexadecimal(colour), "roughness": 0.62, "metalness": 0.08}
 
 
 def _translucent(opacity: float) -> Json:

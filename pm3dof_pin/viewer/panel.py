@@ -44,8 +44,13 @@ _SMALL = 1e-3  # relative to the greatest number: smaller ones have their own pr
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
-def numbers_with_unit(values: ArrayLike, unit: str, *, digits: int = 3) -> str:
-    """Format numbers as in the page: 64.7 · 429 kN/m, with a common prefix if it suits all."""
+def numbers_with_unit(values: ArrayLike, unit: str | Sequence[str], *, digits: int = 3) -> str:
+    """Format numbers as in the page: 64.7 · 429 kN/m, with a common prefix if it suits all; a unit for all, or each."""
+    if not isinstance(unit, str):
+        if len(set(unit)) != 1:
+            each = zip(np.asarray(values, dtype=float), unit, strict=True)
+            return " · ".join(numbers_with_unit([value], own, digits=digits) for value, own in each)
+        unit = unit[0]
     numbers = [float(value) for value in np.asarray(values, dtype=float)]
     greatest = max(map(abs, numbers), default=0.0)
     numbers = [0.0 if abs(number) < ROUNDING * greatest else number for number in numbers]
@@ -55,14 +60,6 @@ def numbers_with_unit(values: ArrayLike, unit: str, *, digits: int = 3) -> str:
     if len(set(units)) == 1:
         return " · ".join(texts).replace("-", "\u2212") + units[0]
     return " · ".join(text + own for text, own in zip(texts, units, strict=True)).replace("-", "\u2212")
-
-
-def numbers_with_units(values: ArrayLike, units: Sequence[str]) -> str:
-    """Format numbers with individual units, together if all are the same."""
-    if len(set(units)) == 1:
-        return numbers_with_unit(values, units[0])
-    each = zip(np.asarray(values, dtype=float), units, strict=True)
-    return " · ".join(numbers_with_unit([value], unit) for value, unit in each)
 
 
 def _power(number: float) -> int:

@@ -42,7 +42,7 @@ class _Shell:
         """Draw the shell at a path, with points of a size [m]."""
         tints = colours.blend(colours.INDEX_STOPS, self.layers[0].places)
         count = len(self.vertices)
-        surface = objects.coloured_mesh(objects.triangles(self.vertices, self.faces, tints[:count]), opacity=0.5)
+        surface = objects.mesh(objects.triangles(self.vertices, self.faces, tints[:count]), None, opacity=0.5)
         scene.set_object(f"{path}/surface", surface, casts_shadow=False)
         if len(self.points):
             cloud = objects.points(self.points, tints[count:], size)

@@ -106,10 +106,10 @@ class ShownScene:
             OutputError: the folder does not exist, or the file cannot be written; no partial file is left.
             BrowserError: there is no Chromium or Chrome, or it cannot draw.
         """
-        from pm3dof_pin.viewer.browser import pictures_of
+        from pm3dof_pin.viewer.browser import Browser
 
         target = _in_existing_folder(path)
-        (png,) = pictures_of(self.html(), width, height)
+        (png,) = Browser.pictures_of(self.html(), width, height)
         with write_atomically(target) as temporary:
             temporary.write_bytes(png)
         return target
@@ -122,10 +122,10 @@ class ShownScene:
 
         from PIL import Image
 
-        from pm3dof_pin.viewer.browser import pictures_of
+        from pm3dof_pin.viewer.browser import Browser
 
         target = _in_existing_folder(path)
-        taken = pictures_of(self.html(), width, height, around=count)
+        taken = Browser.pictures_of(self.html(), width, height, around=count)
         pictures = [Image.open(io.BytesIO(png)).convert("RGB") for png in taken]
         palette = pictures[0].quantize(256, method=Image.Quantize.MAXCOVERAGE)  # small parts keep their colours
         frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]

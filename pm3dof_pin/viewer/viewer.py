@@ -31,7 +31,7 @@ from pm3dof_pin.viewer.ellipsoids import (
 )
 from pm3dof_pin.viewer.labels import label, measures, point_names
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
-from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, numbers_with_units, scale_text
+from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, scale_text
 from pm3dof_pin.viewer.scene import Json
 from pm3dof_pin.viewer.showing import ShownScene
 from pm3dof_pin.viewer.sliders import Sliders, reading, sets_of
@@ -257,7 +257,7 @@ class Viewer(ShownScene):
         for axis, value in zip(axes, values, strict=True):
             path = f"/forces/{axis.joint}"
             if f"{path}/shaft" not in self.scene.paths():
-                arrows.draw_arrow(self.scene, path, heads=2 if axis.turns else 1)
+                axis.draw(self.scene, path)
             drawn[path] = axis.arrow(value, scale=scale, width=width)
         self.scene.set_transforms(drawn)
         unit, live = ", ".join(sorted({axis.unit for axis in axes})), None
@@ -270,7 +270,7 @@ class Viewer(ShownScene):
                 key="forces",
                 title=what,
                 lines=[scale_text(scale, self._unit_length, unit, "arrow")],
-                values=numbers_with_units(values, [axis.unit for axis in axes]),
+                values=numbers_with_unit(values, [axis.unit for axis in axes]),
                 colour=colours.css(arrows.COLOUR),
                 nodes=list(drawn),
                 live=live,
@@ -456,9 +456,6 @@ class Viewer(ShownScene):
             self._is_recording = False
         self._frame_of_path(*per_frame[0], of, others)
         tracks = {path: [transforms[path] for transforms, _ in recorded] for path in recorded[0][0]}
-        for path in tracks:
-            if path.startswith("/ellipsoids/"):
-                tracks[path] = animation.aligned_ellipsoids(tracks[path])
         self._panel["path"] = {
             "duration": duration,
             "frames": [said for _, said in recorded],

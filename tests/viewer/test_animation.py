@@ -14,7 +14,7 @@ import pytest
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
-from pm3dof_pin.viewer.animation import aligned_ellipsoids, clips
+from pm3dof_pin.viewer.animation import _aligned_ellipsoids, clips
 
 
 def turning_ellipsoids() -> list[np.ndarray]:
@@ -32,14 +32,14 @@ def turning_ellipsoids() -> list[np.ndarray]:
 
 def test_aligned_ellipsoids_are_the_same_ellipsoids() -> None:
     transforms = turning_ellipsoids()
-    for before, after in zip(transforms, aligned_ellipsoids(transforms), strict=True):
+    for before, after in zip(transforms, _aligned_ellipsoids(transforms), strict=True):
         np.testing.assert_allclose(after[:3, :3] @ after[:3, :3].T, before[:3, :3] @ before[:3, :3].T, atol=1e-12)
         assert np.linalg.det(after[:3, :3]) > 0.0
 
 
 def test_neighbours_are_near() -> None:
     """As the axes turn by 1.3 rad in 39 steps, no aligned frame turns by more than a few hundredths."""
-    aligned = aligned_ellipsoids(turning_ellipsoids())
+    aligned = _aligned_ellipsoids(turning_ellipsoids())
     for before, after in itertools.pairwise(aligned):
         first, second = (m[:3, :3] / np.linalg.norm(m[:3, :3], axis=0) for m in (before, after))
         assert np.linalg.norm(pin.log3(first.T @ second)) < 0.06
