@@ -16,12 +16,13 @@ from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
 from pm3dof_pin.description.closures import ClosuresSchema
 from pm3dof_pin.description.coordinates import shown_in
+from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.error_file import ErrorFileSchema
 from pm3dof_pin.description.parameters import Parameter
-from pm3dof_pin.description.robots import RobotFiles, find_robot, robot_names
-from pm3dof_pin.elastic.springs import SPRING_SCHEMAS
+from pm3dof_pin.description.robots import RobotFiles, robot_names
+from pm3dof_pin.elastic.springs import SPRING_SCHEMAS, read_springs
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -52,8 +53,9 @@ def info(
         print_result(_file_schema(schema), [], as_json=True)
         return
     which = replace(which, robot=path or which.robot)
-    files = find_robot(which.path, which.package_path or ())
     machine = which.load()
+    files = machine.files
+    assert files is not None
     result = (
         _files(files)
         | _errors(files, machine)
@@ -62,7 +64,8 @@ def info(
         | _mobility(machine)
         | _readings(machine)
     )
-    result |= {"springs": len(machine.springs), "named_configurations": list(machine.named_configurations)}
+    result |= _springs(machine) | _read_over(machine.description)
+    result["named_configurations"] = list(machine.named_configurations)
     reason = machine.reason_without_programs()
     result |= {"engine": "program" if reason is None else "pinocchio", "engine_reason": reason}
     result["tool_motions"] = machine.tool_motions
@@ -195,6 +198,23 @@ def _readings(robot: Robot) -> dict[str, Any]:
     return result | {"limits_given": any(map(math.isfinite, ends))}
 
 
+def _springs(robot: Robot) -> dict[str, Any]:
+    """Count the springs that can be used, or say why there are none."""
+    try:
+        return {"springs": len(read_springs(robot.springs, robot.source)), "springs_problem": None}
+    except DescriptionError as error:
+        return {"springs": 0, "springs_problem": str(error)}
+
+
+def _read_over(description: Description) -> dict[str, Any]:
+    """List the elements of the description that have no meaning here."""
+    entries = [
+        {"element": entry.element, "file": str(entry.origin.path), "line": entry.origin.line, "reason": entry.reason}
+        for entry in description.unread
+    ]
+    return {"read_over": entries}
+
+
 def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     """List what the description lacks and what to do about it."""
     remarks = []
@@ -215,7 +235,9 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
         idle = result["idle_degrees_of_freedom"]
         of_these = f"; {idle} of these do not move the tool (such as a rod spinning about its own axis)" if idle else ""
         remarks.append(f"mobility with the drives locked: {free}{of_these}")
-    if not robot.springs:
+    if result["springs_problem"]:
+        remarks.append(f"the springs cannot be used: {result['springs_problem']}")
+    elif not robot.springs:
         remarks.append("no springs: for stiffness, --drive-stiffness K, or springs in a closures file")
     if result["errors_file"] is None:
         remarks.append(
@@ -270,6 +292,7 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
         ),
         *([f"error parameters: {counted}"] if counted else []),
         f"named configurations: {', '.join(result['named_configurations']) or 'none'}",
+        *_read_over_lines(result["read_over"]),
         *result["missing"],
         f"robots that come with the package: {', '.join(result['robots'])}",
         "",
@@ -292,6 +315,20 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
         for index, name in enumerate(robot.q_names)
     ]
     return lines + table_lines(["joint", "", "lower [m, rad]", "upper [m, rad]"], rows)
+
+
+def _read_over_lines(entries: list[dict[str, Any]]) -> list[str]:
+    """Say what was read over, elements of one kind together, with the line of the first."""
+    kinds: dict[tuple[str, str], list[Any]] = {}
+    for entry in entries:
+        tag = entry["element"].partition(" ")[0].rstrip(">") + ">" if entry["reason"] in ("", "unknown") else ""
+        kinds.setdefault((tag or entry["element"], entry["reason"]), []).append(entry["line"])
+    parts = []
+    for (element, reason), lines in kinds.items():
+        count = f"{len(lines)} x " if len(lines) > 1 else ""
+        at = "" if lines[0] is None else f" (line {lines[0]})"
+        parts.append(f"{count}{element}{at}" + (f": {reason}" if reason else ""))
+    return [f"read over: {'; '.join(parts)}"] if parts else []
 
 
 def _in_degrees(unit: str, *values: float) -> list[str]:

@@ -89,3 +89,15 @@ def _horner(coefficients: Sequence[float], x: Any) -> Any:
     for coefficient in reversed(coefficients):
         result = result * x + coefficient
     return result
+
+
+def polynomial_of_difference(powers: Sequence[float], zero: float) -> list[float]:
+    """Return the coefficients of a polynomial of x - zero, by powers of x, without the highest that vanish."""
+    result = [0.0] * len(powers)
+    for coefficient in reversed(powers):
+        shifted = [0.0, *result[:-1]]
+        result = [one - zero * other for one, other in zip(shifted, result, strict=True)]
+        result[0] += coefficient
+    while len(result) > 2 and not result[-1]:
+        result.pop()
+    return result

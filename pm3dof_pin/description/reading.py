@@ -13,6 +13,7 @@ from pm3dof_pin.description.closures import ClosuresFile, read_closures
 from pm3dof_pin.description.description import Body, Description, Frame, Joint, universal_hinges
 from pm3dof_pin.description.origin import Origin
 from pm3dof_pin.description.physical_bounds import ANY, parse_numbers
+from pm3dof_pin.description.readers import loop_closures
 from pm3dof_pin.description.readers.mjcf import read_mjcf
 from pm3dof_pin.description.readers.sdf import read_sdf
 from pm3dof_pin.description.readers.urdf import read_urdf
@@ -35,7 +36,9 @@ def read_description(files: RobotFiles, *, lenient: bool = False) -> Description
         JointNotFoundError: the closures file names a joint that the tree does not have.
     """
     description = READERS[files.format](files, lenient)
-    if files.closures is not None:
+    if files.closures is not None and files.closures.name == loop_closures.FILE_NAME:
+        description = loop_closures.with_loop_closures(description, files.closures)
+    elif files.closures is not None:
         description = _completed(description, read_closures(files.closures))
     if description.closures and not description.actuated_joints and description.drives:
         driven = dict.fromkeys(drive.joint for drive in description.drives)

@@ -17,6 +17,7 @@ from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
 DESCRIPTION_SUFFIX = "_description"
 CLOSURES_SUFFIX = ".closures.yaml"
 _CLOSURES_FALLBACK = "robot.yaml"
+_CLOSURES_FALLBACKS = (_CLOSURES_FALLBACK, "loop_closures.yaml")
 
 Format = Literal["urdf", "mjcf", "sdf"]
 
@@ -117,7 +118,7 @@ def find_robot(
         raise DescriptionError(tree, "file", f"is not a xacro file, so it has no argument {next(iter(xacro_args))}")
     form = _format_of(path)
     if closures is None:
-        closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *([_CLOSURES_FALLBACK] if form == "urdf" else []))
+        closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *(_CLOSURES_FALLBACKS if form == "urdf" else ()))
     return RobotFiles(
         name=name,
         path=path,

@@ -48,8 +48,13 @@ def read_xml(path: Path | str) -> Element:
         DescriptionError: the file is unreadable, too large, too deeply nested, declares entities or is not XML; the
             message names the line.
     """
-    reader = _Reader(path)
-    reader.read()
+    return parse_xml(read_bytes(path), path)
+
+
+def parse_xml(content: bytes, source: Path | str) -> Element:
+    """Read the root element of a document in memory, as :func:`read_xml`; `source` names it in messages."""
+    reader = _Reader(source)
+    reader.read(content)
     root = reader.builder.close()
     assert isinstance(root, Element)
     return root
@@ -80,9 +85,9 @@ class _Reader:
         self.parser.CharacterDataHandler = self.builder.data
         self.parser.EntityDeclHandler = self._refuse_entity
 
-    def read(self, *, until_root: bool = False) -> None:
+    def read(self, content: bytes | None = None, *, until_root: bool = False) -> None:
         try:
-            content = read_bytes(self._path)
+            content = read_bytes(self._path) if content is None else content
             size = _BEGINNING if until_root else len(content) + 1
             for start in range(0, len(content) + 1, size):
                 self.parser.Parse(content[start : start + size], start + size > len(content))

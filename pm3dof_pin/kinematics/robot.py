@@ -41,6 +41,9 @@ from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Array, Branch, Engine, Mask, Matrix, OnFailure, Vector
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
+    import mujoco
     import yourdfpy
 
     from pm3dof_pin.kinematics.continuation import Continuation
@@ -294,12 +297,13 @@ class Robot(PlacedMechanism):
     @classmethod
     def load(
         cls,
-        source: str | Path | Description | pin.Model | yourdfpy.URDF,
+        source: str | Path | Description | pin.Model | yourdfpy.URDF | mujoco.MjModel | mujoco.MjSpec | ModuleType,
         *,
         tool_frame: str | None = None,
         package_paths: Iterable[str | Path] = (),
         xacro_args: Mapping[str, str] | None = None,
         lenient: bool = False,
+        closures: Iterable[Any] = (),
         drive_stiffness: float | Mapping[str, float] | None = None,
         characteristic_length: float | None = None,
         engine: Engine = "program",
@@ -314,14 +318,14 @@ class Robot(PlacedMechanism):
 
         Args:
             source: name of a robot, or path of a URDF, xacro, MJCF, SDF or closures file, or of a folder containing
-                one, see :func:`~pm3dof_pin.description.robots.find_robot`. Or a description, a `pinocchio.Model`, or a
-                `yourdfpy.URDF`: the last two have no loops; `Robot(model, closures, actuated_joints=...,
-                tool_frame=...)` closes them.
+                one, see :func:`~pm3dof_pin.description.robots.find_robot`. Or a description, a `pinocchio.Model`, a
+                `yourdfpy.URDF`, a `mujoco.MjModel` or `MjSpec`, or a module of robot_descriptions.
             tool_frame: tool frame, instead of the described one.
             package_paths: folders of ROS packages.
             xacro_args: values of the arguments of a xacro file, by name.
-            lenient: read over elements that could carry a loop, a coupling or a drive and are not understood; by
-                default they are refused.
+            lenient: whether elements that could carry a loop, a coupling or a drive, and are not understood, are only
+                listed in `robot.description.unread` instead of being refused.
+            closures: the loops of a `pinocchio.Model`: closures, or constraint models of Pinocchio.
             drive_stiffness: see :meth:`with_drive_stiffness` [N/m, N m/rad].
             characteristic_length: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism` [m].
             engine: see :meth:`with_engine`.
@@ -335,7 +339,12 @@ class Robot(PlacedMechanism):
             InvalidValueError: the source is none of these.
         """
         described = read_source(
-            source, tool_frame=tool_frame, package_paths=package_paths, xacro_args=xacro_args, lenient=lenient
+            source,
+            tool_frame=tool_frame,
+            package_paths=package_paths,
+            xacro_args=xacro_args,
+            lenient=lenient,
+            closures=closures,
         )
         robot = cls(**described, characteristic_length=characteristic_length, engine=engine, threads=threads)
         return robot if drive_stiffness is None else robot.with_drive_stiffness(drive_stiffness)

@@ -223,7 +223,7 @@ def _shapes(mechanism: Mechanism, files: RobotFiles) -> dict[int, list[ElementTr
     """The visual elements, by joint; shapes that URDF does not have are omitted."""
     shapes: dict[int, list[ElementTree.Element]] = {}
     try:
-        visuals = [] if mechanism.description is None else read_visuals(mechanism.description)
+        visuals = read_visuals(mechanism.description)
     except DescriptionError as error:
         _logger.warning("%s: its shapes are omitted", error)
         return shapes

@@ -26,6 +26,7 @@ from pm3dof_pin.description.coordinates import (
 from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.inertia_checks import inertia_problem
+from pm3dof_pin.description.readers.pinocchio_model import describe_model
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.mechanism.loop_kinematics import Anchors, CoupledJoints, LoopKinematics
@@ -62,7 +63,7 @@ class Mechanism:
             centroid at the neutral configuration.
         source: file with the names of frames, joints and springs, for messages; by default that of `files`.
         files: the files the mechanism was read from, if any.
-        description: the description that the mechanism was made of, if any; variants keep that of the original.
+        description: the description that the mechanism is made of, if any.
 
     Attributes:
         model: Pinocchio's model, to be treated as read-only. The other arguments are attributes of the same name.
@@ -112,7 +113,7 @@ class Mechanism:
         self.tool_frame = tool_frame
         self.springs = tuple(springs)
         self.files = files
-        self.description = description
+        self._description = description
         self.source = str(source or (files.source if files is not None else model.name))
         self._frame_ids = _frame_ids(self.model)
         translates = _is_translation(self.model)
@@ -213,6 +214,11 @@ class Mechanism:
             for c in self.couplings
         ]
         return LoopKinematics(self.model, [self._anchors(*loop) for loop in enumerate(self.closures)], couplings)
+
+    @cached_property
+    def description(self) -> Description:
+        """The description that the mechanism was made of, or else one of its model; variants keep the original's."""
+        return describe_model(self.model, self.closures) if self._description is None else self._description
 
     @property
     def has_loops(self) -> bool:
@@ -424,11 +430,14 @@ class Mechanism:
 
 
 def _frame_ids(model: pin.Model) -> dict[str, int]:
-    """Index the frames by name; of frames with the same name, a body's wins."""
+    """Index the frames by name; of frames with the same name, a body's wins, and a joint's loses."""
+    ranks = {pin.FrameType.BODY: 2, pin.FrameType.OP_FRAME: 1}
     ids: dict[str, int] = {}
+    best: dict[str, int] = {}
     for index, frame in enumerate(model.frames):
-        if frame.name not in ids or frame.type == pin.FrameType.BODY:
-            ids[frame.name] = index
+        name, rank = frame.name, ranks.get(frame.type, 0)
+        if rank > best.get(name, -1):
+            ids[name], best[name] = index, rank
     return ids
 
 

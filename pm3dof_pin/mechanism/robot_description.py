@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import atexit
 import logging
-import shutil
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pinocchio as pin
 
 from pm3dof_pin.description import reading
 from pm3dof_pin.description.description import Description
+from pm3dof_pin.description.readers.mujoco_model import describe_mujoco
+from pm3dof_pin.description.readers.pinocchio_model import closures_of_constraints
+from pm3dof_pin.description.readers.urdf import read_urdf
 from pm3dof_pin.description.robots import RobotFiles, find_robot
+from pm3dof_pin.description.xml_file import parse_xml
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.model import UNLIMITED, build_model
 
@@ -29,6 +31,7 @@ def read_source(
     package_paths: Iterable[str | Path] = (),
     xacro_args: Mapping[str, str] | None = None,
     lenient: bool = False,
+    closures: Iterable[Any] = (),
 ) -> dict[str, Any]:
     """Read what :func:`pm3dof_pin.load` takes into the arguments of a mechanism.
 
@@ -36,7 +39,11 @@ def read_source(
         InvalidValueError: it is none of these, or options of files are given for what is not read from one.
         DescriptionError, JointNotFoundError: as :func:`read_description`.
     """
+    if isinstance(source, ModuleType):
+        source = _path_of_module(source)
     if isinstance(source, (str, Path)):
+        if closures := tuple(closures):
+            raise InvalidValueError("closures", problem="are for a pinocchio.Model; those of a file stand in it")
         return read_description(find_robot(source, package_paths, xacro_args), tool_frame, lenient=lenient)
     if given := [name for name, value in (("package_paths", package_paths), ("xacro_args", xacro_args)) if value]:
         problem = f"are for descriptions in files, not for a {type(source).__name__}"
@@ -46,23 +53,32 @@ def read_source(
     if isinstance(source, pin.Model):
         model = source.copy()
         _free_joints_without_limits(model, (), source.name)
-        return {"model": model, "tool_frame": tool_frame}
-    if any(kind.__module__.partition(".")[0] == "yourdfpy" for kind in type(source).__mro__):
-        return read_description(find_robot(_urdf_file(source)), tool_frame, lenient=lenient)
-    raise InvalidValueError(
-        "robot",
-        problem=f"is of type {type(source).__name__}",
-        expected="the name of a robot, the path of its description, a pinocchio.Model or a yourdfpy.URDF",
-    )
+        return {"model": model, "closures": closures_of_constraints(model, closures), "tool_frame": tool_frame}
+    libraries = {kind.__module__.partition(".")[0] for kind in type(source).__mro__}
+    description: Description | None = None
+    if "yourdfpy" in libraries:
+        document: Any = source
+        description = read_urdf(parse_xml(document.write_xml_string(), document.robot.name), lenient=lenient)
+    elif "mujoco" in libraries and hasattr(source, "compile"):
+        description = describe_mujoco(source.compile())
+    elif "mujoco" in libraries and hasattr(source, "nbody"):
+        description = describe_mujoco(source)
+    if description is None:
+        raise InvalidValueError(
+            "robot",
+            problem=f"is of type {type(source).__name__}",
+            expected="the name of a robot, the path of its description, a pinocchio.Model, a yourdfpy.URDF, a "
+            "mujoco.MjModel or MjSpec, or a module of robot_descriptions",
+        )
+    return arguments_of(replace(description, tool_frame=tool_frame))
 
 
-def _urdf_file(urdf: Any) -> Path:
-    """Write the document of a yourdfpy.URDF to a file that lasts as long as the process."""
-    folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    path = folder / f"{urdf.robot.name or 'robot'}.urdf"
-    path.write_bytes(urdf.write_xml_string())
-    return path
+def _path_of_module(module: ModuleType) -> Path:
+    """Return the file that a module of robot_descriptions names."""
+    for name in ("URDF_PATH", "MJCF_PATH", "XACRO_PATH"):
+        if path := getattr(module, name, None):
+            return Path(path)
+    raise InvalidValueError("robot", problem=f"module {module.__name__} has no URDF_PATH or MJCF_PATH")
 
 
 def read_description(files: RobotFiles, tool_frame: str | None = None, *, lenient: bool = False) -> dict[str, Any]:

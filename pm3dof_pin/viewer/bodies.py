@@ -128,8 +128,6 @@ def joint_placements(configuration: Configuration) -> list[Array]:
 def _visuals(mechanism: Mechanism, urdf: Path | str | None) -> list[Visual]:
     if urdf is not None:
         return read_visuals(read_description(find_robot(urdf)))
-    if mechanism.description is None:
-        return []
     try:
         return read_visuals(mechanism.description)
     except DescriptionError as error:

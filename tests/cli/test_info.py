@@ -141,10 +141,26 @@ def test_a_walker_in_mjcf(tmp_path: Path) -> None:
     )
 
 
-def test_sdf_is_refused_by_what_it_is(tmp_path: Path) -> None:
-    (tmp_path / "arm.sdf").write_text('<?xml version="1.0"?><sdf version="1.9"><model name="arm"/></sdf>')
-    with pytest.raises(DescriptionError, match="this is SDF, which is not supported"):
-        info("--robot", tmp_path / "arm.sdf")
+def test_what_was_read_over_and_springs_that_cannot_be_used(tmp_path: Path) -> None:
+    """A spring that pushes is no spring; elements without a meaning here are listed with their lines."""
+    extra = '\n<gazebo reference="forearm"/><jonit/><limits/>'
+    (tmp_path / "arm.urdf").write_text(
+        f'<robot name="arm">{links("base", "forearm")}{hinge("elbow", "base", "forearm")}{extra}</robot>'
+    )
+    (tmp_path / "arm.closures.yaml").write_text(
+        "name_mot: [elbow]\nsprings: [{name: k, type: joint, joint: elbow, stiffness: -3.0, unit: N m/rad}]\n"
+    )
+    with pytest.raises(DescriptionError, match="<jonit>: is unknown"):
+        info("--robot", tmp_path / "arm.urdf")
+    result = info("--robot", tmp_path / "arm.urdf", "--lenient")
+    line = (tmp_path / "arm.urdf").read_text().partition("<jonit")[0].count("\n") + 1
+    assert [(entry["element"], entry["line"]) for entry in result["read_over"]] == [
+        ("<jonit>", line),
+        ("<limits>", line),
+        ("<gazebo>", line),
+    ]
+    assert result["springs"] == 0
+    assert any("the springs cannot be used" in said and "'k'" in said for said in result["missing"])
 
 
 def test_a_urdf_without_limits_and_masses(tmp_path: Path) -> None:

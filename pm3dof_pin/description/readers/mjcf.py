@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import Command
-from pm3dof_pin.description.couplings import Coupling
+from pm3dof_pin.description.couplings import Coupling, polynomial_of_difference
 from pm3dof_pin.description.description import (
     IDENTITY,
     Body,
@@ -565,9 +565,9 @@ class _MjcfReader(ElementReader):
             for name in names if names[1] else names[:1]:
                 self._require_single(name, f"{given.origin}: {place}")
             if names[1]:
-                powers = tuple(_shifted(powers, zeros[names[1]]))
-                powers = (powers[0] + zeros[names[0]], *powers[1:])
-                couplings.append(Coupling.from_powers(names[0], names[1], _trimmed(powers), given.origin))
+                shifted = polynomial_of_difference(powers, zeros[names[1]])
+                shifted[0] += zeros[names[0]]
+                couplings.append(Coupling.from_powers(names[0], names[1], shifted, given.origin))
             else:
                 held[names[0]] = zeros[names[0]] + powers[0]
         return couplings, held
@@ -816,21 +816,6 @@ def _hull(vertices: np.ndarray) -> np.ndarray:
     faces = ConvexHull(vertices).simplices
     outward = np.linalg.det(vertices[faces] - vertices.mean(axis=0)) > 0.0
     return np.asarray(np.where(outward[:, None], faces, faces[:, ::-1]))
-
-
-def _shifted(powers: tuple[float, ...], zero: float) -> list[float]:
-    """Return the coefficients of a polynomial of x - zero, by powers of x."""
-    result = np.zeros(len(powers))
-    for coefficient in reversed(powers):
-        result = np.concatenate([[0.0], result[:-1]]) - zero * result
-        result[0] += coefficient
-    return [float(number) for number in result]
-
-
-def _trimmed(powers: tuple[float, ...]) -> tuple[float, ...]:
-    """Return a polynomial without the highest powers that vanish, at least linear."""
-    degree = max((k for k, number in enumerate(powers) if number), default=1)
-    return powers[: max(degree, 1) + 1]
 
 
 def _with_mass_times(body: Body, factor: float) -> Body:

@@ -1,0 +1,162 @@
+"""Descriptions from objects of other libraries, and from files beside a URDF."""
+
+from __future__ import annotations
+
+import types
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pm3dof_pin as pm
+from pm3dof_pin.description.description import Description
+from pm3dof_pin.description.readers.pinocchio_model import describe_model
+from pm3dof_pin.description.robots import find_robot, robot_names
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.model import build_model
+
+LEG = """<mujoco model="leg"><worldbody><body name="thigh" pos="0 0 1" euler="0 20 0">
+<joint name="hip" axis="0 1 0" range="-60 60" ref="10" armature="0.1" damping="2"/><geom size="0.1" mass="2"/>
+<body name="shin" pos="0 0 -0.4"><joint name="knee" axis="0 1 0" pos="0 0 0.01" frictionloss="0.3"/>
+<joint name="twist" axis="0 0 1"/><geom type="box" size="0.1 0.2 0.3"/><site name="sole" pos="0 0 -0.4"/></body></body>
+<body name="crank" pos="0.2 0 1"><joint name="motor" axis="0 1 0"/><geom size="0.1"/></body>
+<body name="box"><freejoint name="free"/><geom size="0.1"/></body></worldbody>
+<equality><connect body1="crank" body2="shin" anchor="0 0 -0.3"/>
+<joint joint1="knee" joint2="hip" polycoef="0 2 1 0 0"/>
+</equality><actuator><position name="p" joint="hip" kp="30" gear="2" ctrlrange="-1 1"/><motor joint="motor"/></actuator>
+<keyframe><key name="home" qpos="0.1 0.2 0 0.3 1 2 3 0.6 0 0.8 0"/></keyframe></mujoco>"""
+
+
+def _same_model(one: pin.Model, other: pin.Model) -> None:
+    assert list(one.names) == list(other.names)
+    q = pin.randomConfiguration(one, np.full(one.nq, -1.0), np.full(one.nq, 1.0))
+    for name in ("lowerPositionLimit", "upperPositionLimit", "damping", "armature", "upperDryFrictionLimit"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-12)
+    datas = [model.createData() for model in (one, other)]
+    for model, data in zip((one, other), datas, strict=True):
+        pin.framesForwardKinematics(model, data, q)
+    for frame in one.frames:
+        if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
+            places = [data.oMf[m.getFrameId(frame.name)] for m, data in zip((one, other), datas, strict=True)]
+            np.testing.assert_allclose(places[0].translation, places[1].translation, atol=1e-13)
+            if frame.type == pin.FrameType.BODY:  # the axes of a closure's frames may differ
+                np.testing.assert_allclose(places[0].rotation, places[1].rotation, atol=1e-13)
+    np.testing.assert_allclose(pin.crba(one, datas[0], q), pin.crba(other, datas[1], q), atol=1e-10)
+
+
+@pytest.mark.parametrize("as_spec", [False, True])
+def test_a_compiled_model_of_mujoco_is_that_of_its_file(tmp_path: Path, as_spec: bool) -> None:
+    path = tmp_path / "leg.xml"
+    path.write_text(LEG, encoding="utf-8")
+    source = mujoco.MjSpec.from_file(str(path)) if as_spec else mujoco.MjModel.from_xml_path(str(path))
+    found, expected = pm.load(source, tool_frame="sole"), pm.load(path, tool_frame="sole")
+    _same_model(expected.model, found.model)
+    assert found.name == "leg"
+    for one, other in zip(found.couplings, expected.couplings, strict=True):
+        assert (one.joint, one.joints) == (other.joint, other.joints)
+        np.testing.assert_allclose([one.value([0.3])], [other.value([0.3])], rtol=1e-12)
+    assert [loop.type for loop in found.closures] == ["3d"]
+    q = pin.neutral(expected.model)
+    errors = [robot.configuration(q).closure_error for robot in (found, expected)]
+    np.testing.assert_allclose(errors[0], errors[1], atol=1e-12)
+    assert found.actuated_joints == expected.actuated_joints == ("hip", "motor")
+    assert [(d.gear, d.control_range, d.proportional_gain) for d in found.description.drives] == [
+        (d.gear, d.control_range, d.proportional_gain) for d in expected.description.drives
+    ]
+    for name in ("home", "qpos0"):
+        np.testing.assert_allclose(found.named_configurations[name], expected.named_configurations[name], atol=1e-14)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_a_model_of_pinocchio_is_described(name: str) -> None:
+    model = pm.load(name).model
+    _same_model(model, build_model(describe_model(model)))
+
+
+def test_constraint_models_of_pinocchio_close_loops() -> None:
+    delta = pm.load("linear_delta")
+    model, anchors = delta.model.copy(), []
+    for loop in delta.closures:
+        ends = [model.frames[delta.frame_id(frame)] for frame in (loop.frame_a, loop.frame_b)]
+        arguments = [part for end in ends for part in (end.parentJoint, end.placement)]
+        anchors.append(pin.PointAnchorConstraintModel(model, *arguments))
+    robot = pm.load(model, closures=[pin.ConstraintModel(anchors[0]), *anchors[1:]], tool_frame=delta.tool_frame)
+    q = delta.assemble(joints={delta.actuated_joints[0]: delta.home.joint_position(delta.actuated_joints[0])}).q
+    found, expected = (r.configuration(q).closure_error for r in (robot, delta))
+    np.testing.assert_allclose(found, expected, atol=1e-15)
+    with pytest.raises(InvalidValueError, match="closures"):
+        pm.load(model, closures=["left"])
+    with pytest.raises(InvalidValueError, match=r"closures are for a pinocchio\.Model"):
+        pm.load("hexapod", closures=anchors)
+
+
+def test_a_module_of_robot_descriptions_names_a_file() -> None:
+    module = types.ModuleType("hexapod_description")
+    with pytest.raises(InvalidValueError, match="has no URDF_PATH or MJCF_PATH"):
+        pm.load(module)
+    module.URDF_PATH = str(find_robot("hexapod").urdf)  # type: ignore[attr-defined]
+    assert pm.load(module).actuated_joints == pm.load("hexapod").actuated_joints
+
+
+_HINGE = """<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><origin xyz="{3}" rpy="{4}"/>
+<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>"""
+BARS = (
+    '<robot name="bars"><link name="base"/><link name="crank"/><link name="coupler"/><link name="rocker"/>'
+    + _HINGE.format("j1", "base", "crank", "0 0 0", "0 0 0.5")
+    + _HINGE.format("j2", "crank", "coupler", "0 0.3 0", "0 0 0.4")
+    + _HINGE.format("j3", "base", "rocker", "0.4 0 0", "0 0 0.2")
+    + "</robot>"
+)
+
+
+@pytest.fixture
+def bars(tmp_path: Path) -> Path:
+    (tmp_path / "bars.urdf").write_text(BARS, encoding="utf-8")
+    # scikit-robot gives point and axis in the root, with all joints at zero
+    (tmp_path / "loop_closures.yaml").write_text(
+        "closures:\n- {link_a: coupler, link_b: rocker, point: [0.2, 0.5, 0.0], axis: [0.0, 0.0, 2.0]}\n"
+        "independent: [j1]\ndependent: [j2, j3]\nversion: 3\n",
+        encoding="utf-8",
+    )
+    return tmp_path
+
+
+def test_loops_of_scikit_robot(bars: Path) -> None:
+    robot = Robot.load(bars / "bars.urdf")
+    assert DegreesOfFreedom(robot.home).count == 1
+    assert robot.actuated_joints == ("j1",)
+    assert robot.home.closure_residual < 1e-15
+    for frame in (robot.closures[0].frame_a, robot.closures[0].frame_b):
+        np.testing.assert_allclose(robot.home.frame_placement(frame).translation, [0.2, 0.5, 0.0], atol=1e-15)
+    assert [entry.element for entry in robot.description.unread] == ["version"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("link_a: coupler", "link_a: ghost", r"closures\[0\]\.link_a: expected an existing link, not 'ghost'"),
+        ("0.0, 0.0, 2.0", "0.0, 0.0, 0.0", r"closures\[0\]\.axis: expected a direction"),
+        ("point:", "pint:", r"closures\[0\]"),
+        ("[0.2, 0.5, 0.0]", "[0.2, .nan, 0.0]", "point"),
+        ("independent: [j1]", "independent: [j9]", "independent: no joint 'j9'"),
+    ],
+)
+def test_damaged_loops_of_scikit_robot(bars: Path, old: str, new: str, said: str) -> None:
+    path = bars / "loop_closures.yaml"
+    path.write_text(path.read_text().replace(old, new), encoding="utf-8")
+    with pytest.raises((DescriptionError, pm.PM3DofError), match=said):
+        Robot.load(path)
+
+
+def test_lenient_loading_lists_what_was_read_over(tmp_path: Path) -> None:
+    path = tmp_path / "bars.urdf"
+    path.write_text(BARS.replace("</robot>", '\n<jonit name="x"/></robot>'), encoding="utf-8")
+    with pytest.raises(DescriptionError, match="<jonit name='x'>: is unknown"):
+        pm.load(path)
+    description = pm.load(path, lenient=True).description
+    assert isinstance(description, Description)
+    assert [str(entry.origin.line) for entry in description.unread] == ["5"]
