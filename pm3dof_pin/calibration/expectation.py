@@ -188,7 +188,7 @@ def _unseen(calibration: Fit) -> list[str]:
     drives, hidden = nominal.commands.shape[1], []
     if seen < drives:
         hidden.append(f"{drives - seen} of the {drives} motions of the drives at a pose, known only from the model")
-    missing = len(found.identifiability.names) - found.identifiability.rank
+    missing = len(found.identifiability.names) - found.identifiability.identified
     if missing:
         hidden.append(f"{missing} combinations of parameters, listed in the report")
     if (part := calibration.part_corrected) < _WHOLE:

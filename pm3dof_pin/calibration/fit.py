@@ -233,8 +233,8 @@ def _gaps(identification: Identification) -> Iterator[str]:
     if equations < count:
         yield (
             f"{len(identification.measurements)} measurements give {equations} equations for {count} parameters, too "
-            f"few: {identification.identifiability.rank} combinations are identified, the rest stay near their nominal "
-            "values, within the tolerances"
+            f"few: {identification.identifiability.identified} combinations are identified, the rest stay near their "
+            "nominal values, within the tolerances"
         )
     if identification.outliers:
         yield f"outliers, not used for learning: lines {', '.join(map(str, identification.outlier_lines))}"

@@ -34,7 +34,6 @@ REGRESSOR_TOLERANCE = 1e-11
 """Singular values of the scaled regressor below this fraction of the greatest are treated as zero."""
 
 _SHOWN = 0.05  # components smaller than this fraction of a direction's greatest are left out of its name
-_ZERO = 1e-9
 
 
 def stacked_regressor(
@@ -120,26 +119,54 @@ class Identifiability:
     #: right singular vectors as columns, in units of the tolerances, best known first, shape=(number of parameters,
     #: number of parameters)
     directions: Array
-    #: base parameters: as many as the rank, chosen by pivoted QR, that explain all measurements
-    base: tuple[str, ...]
-    #: for each other parameter, the combination of base parameters with the same effect as one unit of it [m, rad per
-    #: m, rad]; the two cannot be distinguished
-    relations: dict[str, dict[str, float]]
+
+    @classmethod
+    def from_regressor(
+        cls, names: tuple[str, ...], regressor: ArrayLike, nuisances: ArrayLike | None = None
+    ) -> Identifiability:
+        """Analyse what a :func:`stacked_regressor` identifies; effects that nuisances can explain count as unobserved.
+
+        The columns of the regressor, shape=(n, rows of a pose, parameters), are in units of the parameters' tolerances.
+
+        Raises:
+            InvalidValueError: the regressor has another shape or is not finite.
+        """
+        blocks = np.asarray(regressor, dtype=float)
+        if blocks.ndim != 3 or blocks.shape[2] != len(names) or not np.isfinite(blocks).all():
+            expected = f"finite numbers, (n, rows, {len(names)})"
+            raise ShapeError("regressor", blocks.shape, expected)
+        matrix = _beside(blocks, nuisances)
+        # the triangular factor has the same singular values and right vectors, and is small
+        triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
+        _, values, right = np.linalg.svd(triangle)
+        decision = RankDecision.of(values, REGRESSOR_TOLERANCE * values.max(initial=0.0))
+        return cls(names, len(blocks), decision, frozen(right.T.copy()))
 
     @property
     def rank(self) -> int:
-        """Number of combinations of parameters that can be identified."""
+        """Number of combinations of parameters that have any effect on the measurements."""
         return self.decision.rank
+
+    @property
+    def identified(self) -> int:
+        """Number of combinations that the measurements determine better than the tolerances: singular values above 1.
+
+        The others stay within their tolerances by the prior, not by the measurements, which hardly contradict it.
+        """
+        return int(np.sum(self.decision.singular_values > 1.0))
+
+    @cached_property
+    def unidentified(self) -> tuple[str, ...]:
+        """Names of the combinations that are not identified, in units of their tolerances."""
+        return self._names(self.identified)
 
     @cached_property
     def unidentifiable(self) -> tuple[str, ...]:
-        """Names of unobservable directions: combinations of parameters in units of their tolerances."""
-        return tuple(_direction_name(self.names, column) for column in _sparse(self.directions[:, self.rank :]).T)
+        """Names of the combinations without any effect."""
+        return self._names(self.rank)
 
-    @property
-    def better_than_tolerance(self) -> int:
-        """Number of combinations that the measurements determine better than the tolerances."""
-        return int(np.sum(self.decision.singular_values > 1.0))
+    def _names(self, first: int) -> tuple[str, ...]:
+        return tuple(_direction_name(self.names, column) for column in _sparse(self.directions[:, first:]).T)
 
     @property
     def observability(self) -> ObservabilityIndices:
@@ -147,38 +174,8 @@ class Identifiability:
         return ObservabilityIndices.of(self.decision.singular_values[: self.rank], self.poses)
 
 
-def identifiability(
-    names: tuple[str, ...], tolerances: Array, regressor: ArrayLike, nuisances: ArrayLike | None = None
-) -> Identifiability:
-    """Analyse what a :func:`stacked_regressor` identifies; effects that nuisances can explain count as unobserved.
-
-    The columns of the regressor, shape=(n, rows of a pose, parameters), are in units of the parameters' tolerances.
-
-    Raises:
-        InvalidValueError: the regressor has another shape or is not finite.
-    """
-    blocks = np.asarray(regressor, dtype=float)
-    if blocks.ndim != 3 or blocks.shape[2] != len(names) or not np.isfinite(blocks).all():
-        expected = f"finite numbers, (n, rows, {len(names)})"
-        raise ShapeError("regressor", blocks.shape, expected)
-    matrix = _beside(blocks, nuisances)
-    # the triangular factor has the same singular values and right vectors, and is small
-    triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
-    _, values, right = np.linalg.svd(triangle)
-    decision = RankDecision.of(values, REGRESSOR_TOLERANCE * values.max(initial=0.0))
-    base, relations = _base_parameters(names, tolerances, triangle, decision.rank)
-    return Identifiability(
-        names=names,
-        poses=len(blocks),
-        decision=decision,
-        directions=frozen(right.T.copy()),
-        base=base,
-        relations=relations,
-    )
-
-
 def _rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDArray[np.intp]:
-    """Return the rank after the first pose, the first two, and so on, shape=(n,); see :func:`identifiability`."""
+    """Return the rank after the first pose, the first two, and so on, shape=(n,)."""
     blocks = np.asarray(regressor, dtype=float)
     others = np.zeros((*blocks.shape[:2], 0)) if nuisances is None else np.asarray(nuisances, dtype=float)
     ranks = []
@@ -223,27 +220,6 @@ def _beside(blocks: Array, nuisances: ArrayLike | None) -> Array:
     for _ in range(2):  # twice is enough (W. Kahan; B. Parlett, 1980)
         matrix = matrix - left @ (left.T @ matrix)
     return matrix
-
-
-def _base_parameters(
-    names: Sequence[str], tolerances: Array, matrix: Array, rank: int
-) -> tuple[tuple[str, ...], dict[str, dict[str, float]]]:
-    triangle, order = scipy.linalg.qr(matrix, mode="r", pivoting=True)
-    base, others = order[:rank], order[rank:]
-    relations: dict[str, dict[str, float]] = {}
-    if rank:
-        stand_in = scipy.linalg.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
-        for column, other in enumerate(others):
-            # from units of the tolerances back to metres and radians
-            parts = stand_in[:, column] * tolerances[base] / tolerances[other]
-            relations[names[other]] = {
-                names[k]: float(part)
-                for k, part, scaled in zip(base, parts, stand_in[:, column], strict=True)
-                if abs(scaled) > _ZERO
-            }
-    else:
-        relations = {names[other]: {} for other in others}
-    return tuple(names[k] for k in np.sort(base)), relations
 
 
 def _sparse(basis: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
-from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE, Identifiability, identifiability
+from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE, Identifiability
 from pm3dof_pin.calibration.linearisation import Linearisation, Loss, RobustFit, tool_motions_by_drives
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
@@ -213,8 +213,9 @@ class Identification:
     @cached_property
     def identifiability(self) -> Identifiability:
         """Rank of the data given nuisance parameters without priors, and the combinations it leaves open."""
-        names, scales = self.elastic.with_parameters(self.errors)
-        return identifiability(names, scales, *np.split(self.rows, [len(names)], axis=2))
+        names, _ = self.elastic.with_parameters(self.errors)
+        rows = self.rows / self.noise_factors[:, None]
+        return Identifiability.from_regressor(names, *np.split(rows, [len(names)], axis=2))
 
     @cached_property
     def prior_dominated(self) -> tuple[str, ...]:

@@ -10,20 +10,19 @@ import contextlib
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip_weights
-from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.measuring.registration import fitted_sphere
 from pm3dof_pin.typing import Array
 
-_LENGTHS = {"millimetres": 1e-3, "inches": 25.4e-3, "centimetres": 1e-2, "feet": 0.3048, "micrometres": 1e-6}
+_LENGTHS = {"millimetres": 1e-3, "inches": 25.4e-3, "centimetres": 1e-2}
 _SAME_SIZE = 0.2  # relative difference of sizes for which a unit can be right
 _SHIFTS = 20  # rows by which poses may be shifted from their commands
 _MANY = 4  # drives or targets, above which not every permutation is tried
@@ -129,7 +128,7 @@ def _quaternions(measurements: Measurements, nominal: Poses) -> Iterator[Mistake
     if measurements.rotations is None:
         return
     numbers, inverse = quaternion(measurements.rotations), np.swapaxes(measurements.rotations, 1, 2)
-    for words, order in (("x, y, z, w", (3, 0, 1, 2)), ("z, y, x, w", (3, 2, 1, 0)), ("w, z, y, x", (0, 3, 2, 1))):
+    for words, order in (("x, y, z, w", (3, 0, 1, 2)), ("z, y, x, w", (3, 2, 1, 0))):
         read = replace(measurements, rotations=rotation_of_quaternion(numbers[:, order]))
         yield Mistake(f"the quaternions are in the order {words}", read)
     yield Mistake(
@@ -184,18 +183,18 @@ def _points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[
 
 
 def _fixed_points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Yield other fixed points of distances."""
+    """Yield other fixed points of distances, as centres that are not known."""
     origins, distances, partners = measurements.origins, measurements.distances, measurements.partners
     if origins is None or distances is None or partners is None:
         return
-    fixed, centres, found = np.flatnonzero(np.isfinite(distances) & (partners < 0)), origins.copy(), ["nowhere"]
-    for place in np.unique(origins[fixed], axis=0):
-        rows = fixed[(origins[fixed] == place).all(axis=1)]
-        if len(rows) >= _MIN_ROWS:
-            centres[rows] = fitted_sphere(measurements.points_on(nominal)[rows], distances[rows])
-            found.append(_millimetres(centres[rows[0]]))
-    text = f"the fixed points are not where the file has them, but at about ({'), ('.join(found[1:])}) mm"
-    yield Mistake(text, measurements.with_origins(centres), partial(_once_more, _fixed_points, eta, 0))
+    fixed, centres, spheres = np.isfinite(distances) & (partners < 0), origins.copy(), np.full(len(measurements), -1)
+    for number, place in enumerate(np.unique(origins[fixed], axis=0)):
+        rows = fixed & (origins == place).all(axis=1)
+        if rows.sum() >= _MIN_ROWS:
+            centres[rows], spheres[rows] = fitted_sphere(measurements.points_on(nominal)[rows], distances[rows]), number
+    words = "), (".join(map(_millimetres, np.unique(centres[fixed], axis=0)))
+    text = f"the fixed points are not where the file has them, but at about ({words}) mm"
+    yield Mistake(text, replace(measurements, origins=centres, spheres=spheres))
 
 
 def _counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
@@ -226,44 +225,35 @@ def _counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterato
 
 def changes_in_the_middle(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
     """Yield changes in the middle of a file: of the instrument's place, or of the point seen."""
-    seen = measurements.seen[:, : measurements.tool_columns] * tip_weights(eta)[: measurements.tool_columns]
-    datum = datum_motions(nominal)
     kinds = {"the instrument or the base has moved": slice(6), "the point seen is elsewhere on the tool": slice(6, 9)}
-    for number, (what, columns) in enumerate(kinds.items()):
-        motions = datum[:, :, columns]
-        rows = measurements.derivatives(nominal, motions)[:, : seen.shape[1]] * seen[:, :, None]
-        # over the rows up to each, and over all later ones
-        sums = np.cumsum(np.swapaxes(rows, 1, 2) @ rows, axis=0)
-        inverses = np.linalg.pinv(np.stack([sums, sums[-1] - sums]), rcond=1e-9, hermitian=True)
-        moved, change, first = measurements, np.zeros(motions.shape[2]), 0
-        for _ in range(_STEPS):
-            residuals = moved.residuals(nominal)[:, : seen.shape[1]] * seen
-            before = np.cumsum(np.einsum("nij,ni->nj", rows, residuals), axis=0)
-            pulls = np.stack([before, before[-1] - before])
-            fits = np.einsum("pnij,pnj->pni", inverses, pulls)
-            if not first:
-                ends = np.flatnonzero(np.diff(measurements.visit_numbers) != 0)[_MIN_ROWS - 1 : -_MIN_ROWS]
-                if not ends.size:
-                    return
-                explained = np.einsum("pni,pni->n", fits, pulls)
-                first = int(ends[np.argmax(explained[ends])]) + 1
-            step = fits[1, first - 1] - fits[0, first - 1]
-            change = change + step
-            later = np.arange(len(moved))[:, None] >= first
-            moved = moved.without_motions(nominal, np.where(later, motions @ step, 0.0))
-        text = f"from line {measurements.lines[first]} on {what}, by about ({_millimetres(change[:3])}) mm"
-        yield Mistake(text, moved, partial(_once_more, changes_in_the_middle, eta, number))
+    for what, columns in kinds.items():
+        yield _change(measurements, nominal, eta, what, columns)
 
 
-def _once_more(
-    kind: Callable[[Measurements, Poses, float], Iterator[Mistake]],
-    eta: float,
-    number: int,
-    measurements: Measurements,
-    poses: Poses,
-) -> Measurements:
-    """Correct measurements again for a mistake of a kind."""
-    return next(itertools.islice(kind(measurements, poses, eta), number, None)).corrected
+def _change(measurements: Measurements, nominal: Poses, eta: float, what: str, columns: slice) -> Mistake:
+    """Return the change, at the row and by the motion that explain most of the misfit."""
+    seen = measurements.seen[:, : measurements.tool_columns] * tip_weights(eta)[: measurements.tool_columns]
+    motions = datum_motions(nominal)[:, :, columns]
+    rows = measurements.derivatives(nominal, motions)[:, : seen.shape[1]] * seen[:, :, None]
+    # over the rows up to each, and over all later ones
+    sums = np.cumsum(np.swapaxes(rows, 1, 2) @ rows, axis=0)
+    inverses = np.linalg.pinv(np.stack([sums, sums[-1] - sums]), rcond=1e-9, hermitian=True)
+    ends = np.flatnonzero(np.diff(measurements.visit_numbers) != 0)[_MIN_ROWS - 1 : -_MIN_ROWS]
+    if not ends.size:
+        raise InvalidValueError("measurements", len(measurements), f"{2 * _MIN_ROWS} poses or more")
+    moved, change, first = measurements, np.zeros(motions.shape[2]), 0
+    for _ in range(_STEPS):
+        residuals = moved.residuals(nominal)[:, : seen.shape[1]] * seen
+        before = np.cumsum(np.einsum("nij,ni->nj", rows, residuals), axis=0)
+        pulls = np.stack([before, before[-1] - before])
+        fits = np.einsum("pnij,pnj->pni", inverses, pulls)
+        first = first or int(ends[np.argmax(np.einsum("pni,pni->n", fits, pulls)[ends])]) + 1
+        step = fits[1, first - 1] - fits[0, first - 1]
+        change = change + step
+        later = np.arange(len(moved))[:, None] >= first
+        moved = moved.without_motions(nominal, np.where(later, motions @ step, 0.0))
+    text = f"from line {measurements.lines[first]} on {what}, by about ({_millimetres(change[:3])}) mm"
+    return Mistake(text, moved, lambda rows, poses: _change(rows, poses, eta, what, columns).corrected)
 
 
 def explained_by(measurements: Measurements, poses: Poses, eta: float, motions: Array) -> Array:

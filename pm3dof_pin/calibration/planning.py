@@ -31,11 +31,7 @@ from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.fit import Method
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
-from pm3dof_pin.calibration.identifiability import (
-    Identifiability,
-    identifiability,
-    stacked_regressor,
-)
+from pm3dof_pin.calibration.identifiability import Identifiability, stacked_regressor
 from pm3dof_pin.calibration.identification import PRIOR
 from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
@@ -218,7 +214,7 @@ class PlanningProblem:
             chosen,
             self.candidates[chosen],
             self.predicted_tip_rms(chosen),
-            identifiability(self.unknowns, self.tolerances, self.regressor[chosen], self.nuisance_regressor[chosen]),
+            Identifiability.from_regressor(self.unknowns, self.regressor[chosen], self.nuisance_regressor[chosen]),
         )
 
     def information(self, indices: ArrayLike) -> Array:

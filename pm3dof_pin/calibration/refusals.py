@@ -168,7 +168,7 @@ def _too_few(found: Identification) -> str:
         1
     ]
     equations = int(measured.seen[rows].sum())
-    determined = found.identifiability.better_than_tolerance + int(np.sum(found.nuisances.sigmas >= UNKNOWN))
+    determined = found.identifiability.identified + int(np.sum(found.nuisances.sigmas >= UNKNOWN))
     if equations > determined:
         return ""
     unknowns = found.rows.shape[2]

@@ -196,14 +196,15 @@ def _parameters(found: Identification, picture: Figure) -> list[str]:
         )
     ]
     silent = [
-        ("Combinations not determined by the measurements", found.identifiability.unidentifiable),
+        ("Combinations known no better than their tolerances", found.identifiability.unidentified),
         ("Parameters individually dominated by the prior", found.prior_dominated),
     ]
     remarks = "".join(f"<li>{text}: {escape('; '.join(names) or 'none')}.</li>" for text, names in silent)
     return [
         "<h2>Identified parameters</h2>",
-        f"<p>{found.identifiability.rank} combinations of {len(found.errors)} parameters are identifiable. The grey "
-        f"band is the tolerance; before the measurements the standard deviation was {found.prior:g} tolerances.</p>",
+        f"<p>{found.identifiability.identified} combinations of {len(found.identifiability.names)} parameters are "
+        "known better than their tolerances. The grey band is the tolerance; before the measurements the standard "
+        f"deviation was {found.prior:g} tolerances.</p>",
         f"<ul>{remarks}</ul>",
         _image(picture, "identified parameters with their uncertainties"),
         _table(("parameter", "value", "sigma", "tolerance", "unit"), rows),

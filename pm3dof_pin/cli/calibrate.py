@@ -128,7 +128,7 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
         f"{measured['count']} measurements{poses}, method {summary['method']}",
         "; ".join(
             [
-                f"{known.rank} of {len(known.names)} parameters identified",
+                f"{known.identified} of {len(known.names)} parameters identified",
                 *named,
                 f"noise factor {found.noise_factor:.2f}",
             ]

@@ -264,15 +264,16 @@ def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[
         "identifiable": known.rank,
         "estimated_beside_them": list(dict.fromkeys(part.kind for part in problem.nuisances.parts)),
         "rank_gap": known.decision.gap,
-        "better_known_than_tolerances": known.better_than_tolerance,
+        "better_known_than_tolerances": known.identified,
         "not_identifiable": known.unidentifiable,
+        "not_identified": known.unidentified,
         "least_number_of_poses": minimum,
         "observability": known.observability.__dict__,
     }
 
 
 def _lines(result: dict[str, Any]) -> list[str]:
-    hidden = result["not_identifiable"]
+    hidden = result["not_identified"]
     observability = ", ".join(f"{name} = {value:.3g}" for name, value in result["observability"].items())
     predicted = result["predicted_tip_rms_by_strategy_m"].items()
     excess = {int(count): value for count, value in result["excess_tip_rms_by_poses_m"].items()}
@@ -288,9 +289,9 @@ def _lines(result: dict[str, Any]) -> list[str]:
     return [
         f"{result['robot']}: {result['poses']} poses, {result['strategy']}, for method {result['method']}"
         + (f"; also estimated: {', '.join(beside)}" if beside else ""),
-        f"{result['identifiable']} of {result['parameters']} parameters identified, "
-        f"{result['better_known_than_tolerances']} combinations better known than their tolerances; "
-        f"all that can be identified needs at least {result['least_number_of_poses']} poses",
+        f"{result['better_known_than_tolerances']} of {result['parameters']} parameters identified better than their "
+        f"tolerances, {result['identifiable']} have an effect; to see all effects takes "
+        f"{result['least_number_of_poses']} poses",
         f"not identified: {'; '.join(hidden[:3]) or 'nothing'}{f'; {len(hidden) - 3} more' if len(hidden) > 3 else ''}",
         *_stiffness_lines(result["predicted_stiffness_sigma_of_logarithm"]),
         f"observability {observability}",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.calibration.calibrate import calibrate
-from pm3dof_pin.calibration.identifiability import identifiability, stacked_regressor
+from pm3dof_pin.calibration.identifiability import Identifiability, stacked_regressor
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.refusals import _noise_in_words
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -108,7 +108,7 @@ def test_the_plan_counts_them(tripod_errors: GeometricErrors, tripod_nominal: Po
         ranks.append(int(np.sum(values > 1e-6 * values[0])))
         instrument = Instrument("position", SIGMA, SIGMA, encoders=tuple(joints))
         rows, others, nuisances = stacked_regressor(tripod_errors, nominal, instrument)
-        assert identifiability(tripod_errors.names, tripod_errors.tolerances, rows, others).rank == ranks[-1]
+        assert Identifiability.from_regressor(tripod_errors.names, rows, others).rank == ranks[-1]
         assert len(nuisances) == len(joints)
     assert ranks[1] > ranks[0]
     with pytest.raises(InvalidValueError, match="expected a passive joint"):

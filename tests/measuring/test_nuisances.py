@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.calibration.identifiability import identifiability, stacked_regressor
+from pm3dof_pin.calibration.identifiability import Identifiability, stacked_regressor
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -114,7 +114,7 @@ def test_the_ranks_of_other_robots(name: str) -> None:
     ranks = []
     for own_frame in (False, True):
         by_errors, others, _ = stacked_regressor(errors, poses, Instrument(own_frame=own_frame))
-        ranks.append(identifiability(errors.names, errors.tolerances, by_errors, others).rank)
+        ranks.append(Identifiability.from_regressor(errors.names, by_errors, others).rank)
     assert ranks == _numerical_ranks(errors, poses)
 
 
