@@ -16,7 +16,7 @@ from pm3dof_pin.programs.closing import Task, closing_program, damped_closing_pr
 from pm3dof_pin.programs.llvm import Compiled, Iteration, Walked
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
-from pm3dof_pin.programs.walk import Walk, control_program, start_program
+from pm3dof_pin.programs.walk import Walk, branch_program, control_program, start_program
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 _KEPT = "_program_source"
@@ -93,13 +93,15 @@ class ProgramSource:
         Raises:
             ProgramError: there is no program for the robot, or it disagrees with Pinocchio.
         """
-        own, samples = self._robot, self.samples
+        own, samples, coordinates = self._robot, self.samples, Task.of(self._robot.coordinates)
 
         def trace(dense: bool) -> Walk:
             step = self._stored(f"step {task}", dense, lambda: closing_program(own, task, samples, dense=dense))
             start = self._stored(f"start {task}", dense, lambda: start_program(own, task, samples, dense=dense))
             control = self._stored(f"control {task}", dense, lambda: control_program(own, start))
-            return Walk.from_programs(step, start, control)
+            name = f"branch {coordinates}"
+            branch = self._stored(name, dense, lambda: branch_program(own, coordinates, samples, dense=dense))
+            return Walk.from_programs(step, start, control, branch)
 
         return self._bound(robot, f"walk {task}", trace)
 

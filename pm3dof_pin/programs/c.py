@@ -17,6 +17,7 @@ _WALK = """int {name}(const double *start, const double *targets, const double *
 {{
   double x[{n_inputs}], block[{n_stepped} + {n_state}];
   double *const state = block + {n_stepped};
+  double here, there;
   int k;
   for (k = 0; k < {nq}; k++)
     x[k] = start[k];
@@ -33,6 +34,10 @@ _WALK = """int {name}(const double *start, const double *targets, const double *
     return 4;
   if (state[{status}] < 0.0)
     return (int)-state[{status}];
+  {name}_branch(start, p, &here);
+  {name}_branch(state + {reached}, p, &there);
+  if (here != there && state[{singular}] == 0.0)
+    return 1;
   for (k = 0; k < {nq}; k++)
     q[k] = state[{reached} + k];
   return 0;
@@ -66,7 +71,7 @@ def c99(
     if isinstance(program, Program):
         return "\n".join([*parts, *comment, *_function(program, program.name), ""])
     walk, name = program, program.name
-    for part, each in (("step", walk.step), ("start", walk.start), ("control", walk.control)):
+    for part, each in walk.parts.items():
         parts += _function(each, f"{name}_{part}", "static ")
     loop = _WALK.format(
         name=name,
@@ -78,6 +83,7 @@ def c99(
         shortest=repr(SHORTEST_LEG),
         tolerance=repr(CLOSED),
         status=walk.status,
+        singular=walk.singular,
         reached=walk.reached.start,
     )
     return "\n".join([*parts, *comment, loop])

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.programs.printing import EXPRESSIONS, MAX_STEPS, literal, parameter_values, statements
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.walk import CLOSED, SHORTEST_LEG, Walk
+from pm3dof_pin.programs.walk import CLOSED, SHORTEST_LEG, SINGULAR, Walk
 
 _FUNCTIONS = ("sqrt", "sin", "cos", "atan2", "floor")
 _EXPRESSIONS = EXPRESSIONS | {name: f"Math.{EXPRESSIONS[name]}" for name in _FUNCTIONS} | {"absolute": "Math.abs({0})"}
@@ -30,10 +30,7 @@ def javascript(program: Program | Walk, parameters: ArrayLike | None = None) -> 
         return _function(program, program.name, values if built_in else None)
     walk, name = program, program.name
     stepped, state = len(walk.step.results), len(walk.start.results)
-    functions = [
-        _function(each, f"{name}_{part}", values if built_in else None)
-        for part, each in (("step", walk.step), ("start", walk.start), ("control", walk.control))
-    ]
+    functions = [_function(each, f"{name}_{part}", values if built_in else None) for part, each in walk.parts.items()]
     loop = f"""function {name}(start,targets,{p}q){{
 "use strict";
 const block=new Float64Array({stepped + state}),state=block.subarray({stepped});
@@ -42,8 +39,13 @@ for(let k=0;k<{MAX_STEPS}&&state[{walk.status}]>0;k++){{
 {name}_step(state,{p}block);
 {name}_control(block,{p}state);
 }}
-if(state[{walk.status}]===0)q.set(state.subarray({walk.reached.start},{walk.reached.stop}));
-return state[{walk.status}];
+if(state[{walk.status}]!==0)return state[{walk.status}];
+const here=[0],there=[0],end=state.subarray({walk.reached.start},{walk.reached.stop});
+{name}_branch(start,{p}here);
+{name}_branch(end,{p}there);
+if(here[0]!==there[0]&&!state[{walk.singular}])return {SINGULAR:g};
+q.set(end);
+return 0;
 }}"""
     return "\n".join([*functions, loop])
 

@@ -3,14 +3,16 @@
 The walk is one loop over two straight-line programs: a Newton step, and a *control* program that decides what happens
 next. As these decisions are selections, not branches, every printer needs only the loop::
 
-    state = start(q, targets, shortest)
+    state = start(q, targets)
     while status > 0:
         state, status = control(step(state), state)
+    if branch(state) != branch(q): out of reach
 
 A leg starts from the last accepted configuration, extrapolated from the two before it, and takes Newton steps until the
 loops are closed. It is accepted if no joint jumped, no system of equations is singular, and all determinants have the
 signs that they have at the start, so that the branch is the same. Then the next leg is up to twice as long; otherwise
-it is half as long, until it is too short and the walk has failed. The last leg may end at a singular configuration.
+it is half as long, until it is too short and the walk has failed. The last leg may end at a singular configuration. The
+signs of the drives' determinants are compared at the end, see :func:`~pm3dof_pin.programs.closing.branch_number`.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
-from pm3dof_pin.programs.closing import Task
+from pm3dof_pin.programs.closing import Task, branch_number
 from pm3dof_pin.programs.graph import (
     Graph,
     Scalar,
@@ -86,22 +88,24 @@ _LAST_STEPS = 50  # for the last leg: near a singular configuration the first st
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """Programs whose loop is a walk; all have the parameters of the step.
+    """Programs whose loop is a walk, with the same parameters.
 
     `start` takes q, the targets, the length of the shortest leg relative to the usual one, usually
     :data:`SHORTEST_LEG`, and the largest closure error, usually :data:`CLOSED`; its outputs are the state, which begins
     with the inputs of `step`. `control` takes the outputs of `step`, then the state, and returns the next state up to
-    the status.
+    the status. `branch` takes q. Machine code leaves branches to its caller.
     """
 
     step: Program  #: see :func:`~pm3dof_pin.programs.closing.closing_program`
     start: Program
     control: Program
+    branch: Program
 
     @classmethod
-    def from_programs(cls, step: Program, start: Program, control: Program) -> Walk:
-        """Return the walk of programs, which get the parameters of the step."""
-        return cls(step, *(each.with_parameters(step.parameters) for each in (start, control)))
+    def from_programs(cls, *programs: Program) -> Walk:
+        """Return the walk of programs, each of which gets the parameters of all."""
+        names = tuple(dict.fromkeys(name for program in programs for name in program.parameters))
+        return cls(*(program.with_parameters(names) for program in programs))
 
     @cached_property
     def nq(self) -> int:
@@ -118,9 +122,14 @@ class Walk:
         return replace(self, step=replace(self.step, name=name))
 
     @property
+    def parts(self) -> dict[str, Program]:
+        """The programs by name."""
+        return {"step": self.step, "start": self.start, "control": self.control, "branch": self.branch}
+
+    @property
     def key(self) -> str:
         """Hexadecimal hash of the programs."""
-        return hashlib.sha256("".join((self.step.key, self.start.key, self.control.key)).encode()).hexdigest()
+        return hashlib.sha256("".join(program.key for program in self.parts.values()).encode()).hexdigest()
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -137,6 +146,11 @@ class Walk:
         """Index of the status in the state; the numbers after it are constant."""
         place: int = self.start.slices["status"].start
         return place
+
+    @cached_property
+    def singular(self) -> int:
+        """Index of the number of the state that is 1 after a walk to a singular configuration, else 0."""
+        return self.status - 1
 
     @cached_property
     def reached(self) -> slice:
@@ -162,18 +176,38 @@ class Walk:
         while (rows := np.flatnonzero(states[:, self.status] > 0.0)).size:
             stepped = self.step.evaluate(states[rows, : len(self.step.inputs)], parameters)
             states[rows, : self.status + 1] = self.control.evaluate(np.hstack([stepped, states[rows]]), parameters)
-        return states[:, self.reached], states[:, self.status]
+        here, there = (self.branch.evaluate(rows, parameters)[:, 0] for rows in (q, states[:, self.reached]))
+        passed = (states[:, self.status] == REACHED) & (states[:, self.singular] == 0.0) & (here != there)
+        return states[:, self.reached], np.where(passed, SINGULAR, states[:, self.status])
 
 
 def walk_program(
-    mechanism: Mechanism, task: Task, step: Program, samples: ArrayLike, *, dense: bool = False, leg: float = LEG
+    mechanism: Mechanism,
+    task: Task,
+    coordinates: Task,
+    step: Program,
+    samples: ArrayLike,
+    *,
+    dense: bool = False,
+    leg: float = LEG,
 ) -> Walk:
     """Record the walk of a task, given the step of :func:`~pm3dof_pin.programs.closing.closing_program`.
 
-    Samples, `dense` and errors as there; `leg` is the usual length of a leg [rad, characteristic lengths].
+    Samples, `dense` and errors as there; `coordinates` are those that tell branches apart; `leg` is the usual length of
+    a leg [rad, characteristic lengths].
     """
     start = start_program(mechanism, task, samples, dense=dense, leg=leg)
-    return Walk.from_programs(step, start, control_program(mechanism, start))
+    branch = branch_program(mechanism, coordinates, samples, dense=dense)
+    return Walk.from_programs(step, start, control_program(mechanism, start), branch)
+
+
+def branch_program(mechanism: Mechanism, coordinates: Task, samples: ArrayLike, *, dense: bool = False) -> Program:
+    """Record the number of a configuration's branch, see :func:`~pm3dof_pin.programs.closing.branch_number`."""
+    graph = Graph()
+    tree = Tree(graph, mechanism, samples, dense=dense)
+    has_loops = mechanism.loop_kinematics.row_count > 0
+    number = branch_number(tree, coordinates, mechanism.actuated_indices.tolist()) if has_loops else 0.0
+    return graph.program("branch", {"branch": number})
 
 
 def accepted(margin: Scalar, jump: Scalar, residual: Scalar, tolerance: Scalar, mode: Scalar, limits: Limits) -> Truth:
@@ -237,7 +271,7 @@ def start_program(
     state: dict[str, Any] = {
         **{"q": q, "margin": 1.0, "jump": 0.0, "given": origins, "reached": q, "earlier": q},
         **{"mode": 0.0, "done": 0.0, "step": 1.0 / legs, "last": 0.0, "goal": 0.0},
-        **{"count": select(less(distance, far), -1.0, -2.0), "status": 1.0},
+        **{"count": select(less(distance, far), -1.0, -2.0), "singular": 0.0, "status": 1.0},
         **{"origins": origins, "targets": targets, "longest": 1.0 / legs, "shortest": shortest / legs},
         "tolerance": tolerance,
     }
@@ -318,7 +352,8 @@ def control_program(mechanism: Mechanism, start: Program) -> Program:
         "jump": select(goes_on, jump, 0.0),
         "given": _each(goes_on, now["given"], objects(between)),
         **{"reached": reached, "earlier": earlier, "mode": mode, "done": done, "step": step, "last": last},
-        **{"goal": select(goes_on, goal, following), "count": select(goes_on, count, 0.0), "status": ended},
+        **{"goal": select(goes_on, goal, following), "count": select(goes_on, count, 0.0)},
+        **{"singular": select(ends_singular & is_accepted, 1.0, 0.0), "status": ended},
     }
     return graph.program("control", state)
 
