@@ -12,7 +12,7 @@ import typer
 
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import Json, RobotOptions
-from pm3dof_pin.cli.output import print_result, table_lines
+from pm3dof_pin.cli.output import message, print_result, table_lines
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
 from pm3dof_pin.description.closures import ClosuresSchema
 from pm3dof_pin.description.coordinates import shown_in
@@ -22,7 +22,10 @@ from pm3dof_pin.description.parameters import Parameter
 from pm3dof_pin.description.robots import RobotFiles, robot_names
 from pm3dof_pin.elastic.springs import SPRING_SCHEMAS, read_springs
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, PM3DofError
+from pm3dof_pin.export.named_configurations import write_configuration
+from pm3dof_pin.kinematics.assemblies import assembled_homes
+from pm3dof_pin.kinematics.branches import branches_of, start_of
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -43,6 +46,12 @@ def info(
         _FileKind | None,
         typer.Option("--schema", help="Print the JSON Schema of a YAML file, for editors, and exit."),
     ] = None,
+    assemble: Annotated[
+        bool, typer.Option("--assemble", help="Write a configuration 'home' with closed loops into the robot's SRDF.")
+    ] = False,
+    branch: Annotated[
+        int | None, typer.Option("--branch", help="Which of the assemblies that --assemble lists, from 1.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Summarize a robot: files, joints, commands, coordinates, loop closures, degrees of freedom, home.
@@ -56,12 +65,16 @@ def info(
     machine = which.load()
     files = machine.files
     assert files is not None
+    if assemble or branch is not None:
+        _assemble(machine, files, branch, as_json)
+        return
     result = (
         _files(files)
         | _errors(files, machine)
         | _tree(machine)
         | _closures(machine)
         | _mobility(machine)
+        | _reach(machine)
         | _readings(machine)
     )
     result |= _springs(machine) | _read_over(machine.description)
@@ -179,6 +192,69 @@ def _mobility(robot: Robot) -> dict[str, Any]:
     return dict(zip(keys, counts, strict=True))
 
 
+def _reach(robot: Robot) -> dict[str, Any]:
+    """Say what bounds the poses that are reached from home, and where they are reached from."""
+    described = robot.described_home.closure_residual
+    result: dict[str, Any] = {"described_home_closure_residual": described, "home_refused": None}
+    try:
+        start = start_of(robot)
+    except PM3DofError as error:
+        return result | {"branch_conditions": [], "start_is_home": False, "home_refused": str(error)}
+    return result | {
+        "branch_conditions": list(branches_of(robot).conditions),
+        "start_is_home": bool(np.array_equal(start, robot.home.q)),
+    }
+
+
+def _reach_line(result: dict[str, Any], robot: Robot) -> list[str]:
+    if not robot.has_loops or result["home_refused"]:
+        return []
+    bounds = result["branch_conditions"]
+    words = f"poses are reached up to {' and '.join(bounds) or 'no'} singularities"
+    if "parallel" not in bounds and robot.coordinates != robot.command_coordinates:
+        many = len(robot.commands) > len(robot.coordinates)
+        why = "there are no drives" if not robot.commands else "more drives than coordinates have no singularity"
+        words += f" ({why if many or not robot.commands else 'the drives do not determine the coordinates'})"
+    if not result["start_is_home"]:
+        words += "; home is singular, so from the only side of it within limits"
+    if result["described_home_closure_residual"] > _CLOSED:
+        words += (
+            f"; home is closed from a described one that is open by {result['described_home_closure_residual']:.2g}"
+        )
+    return [words]
+
+
+def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool) -> None:
+    """List the assemblies near the described home, and write one as home if it is chosen, or the only one."""
+    homes = assembled_homes(robot)
+    joints = list(zip(robot.model.names, robot.model.joints, strict=True))[1:]
+    names = [name for name, joint in joints if joint.nv == 1]
+    entries = [
+        {
+            "branch": number,
+            "distance": home.distance,
+            "within_limits": home.within_limits,
+            "joints": {name: home.configuration.joint_position(name) for name in names},
+        }
+        for number, home in enumerate(homes, start=1)
+    ]
+    rows = [[str(entry["branch"]), f"{entry['distance']:.3g}", str(entry["within_limits"])] for entry in entries]
+    lines = table_lines(["branch", "distance from the described home [rad, sizes]", "within limits"], rows)
+    if branch is None and len(homes) == 1:
+        branch = 1
+    if branch is not None and not 1 <= branch <= len(homes):
+        raise typer.BadParameter(f"--branch {branch}: there are {len(homes)}")
+    path = files.srdf or files.described.parent / f"{files.name}.srdf"
+    if branch is not None:
+        write_configuration(path, "home", homes[branch - 1].configuration)
+    written = None if branch is None else str(path)
+    print_result({"robot": robot.name, "assemblies": entries, "written": written}, lines, as_json=as_json)
+    if branch is None:
+        message(f"pm3dof: {robot.name} has {len(homes)} assemblies near its described home: choose with --branch")
+        raise typer.Exit(1)
+    message(f"wrote configuration 'home' to {path}")
+
+
 def _readings(robot: Robot) -> dict[str, Any]:
     """Return commands and coordinates with their ranges and home values."""
     poses = robot.at([robot.home.q])
@@ -222,9 +298,11 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     if still_open := {name: gap for name, gap in gaps.items() if not gap <= _CLOSED}:
         listed = ", ".join(f"{name} by {gap:.3g} m or rad" for name, gap in still_open.items())
         remarks.append(
-            f"loops are open at home: {listed}. They could not be closed from there: define a configuration 'home' "
-            "near an assembled one (SRDF or keyframe), or check these frames and the joints between them"
+            f"loops are open at home: {listed}. They could not be closed from there, or in several ways: define a "
+            "configuration 'home' (SRDF or keyframe; pm3dof info --assemble), or check these frames and joints"
         )
+    elif result["home_refused"]:
+        remarks.append(result["home_refused"])
     if robot.tool_frame is None:
         remarks.append("no tool frame: name it with --tool-frame NAME, or as tool_frame in a closures file")
     if not robot.actuated_joints:
@@ -270,6 +348,7 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
     else:
         of_tool = f" ({result['tool_mobility']} of the tool)" if result["tool_mobility"] is not None else ""
         lines.append(f"mobility {result['mobility']}{of_tool}, {result['redundant_constraints']} redundant constraints")
+    lines += _reach_line(result, robot)
     lines += singularity_line(result["singularity_distances"])
     if result["tool_frame"] is not None:
         x, y, z = (round(value, 6) + 0.0 for value in result["home_tool_position_m"])  # no minus sign on zero

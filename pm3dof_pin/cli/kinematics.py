@@ -14,6 +14,7 @@ from pm3dof_pin.cli.options import Json, MachineOptions, NamedConfiguration, Out
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import (
     expected_numbers,
+    in_words,
     names_and_units,
     place,
     read_table,
@@ -23,11 +24,12 @@ from pm3dof_pin.cli.poses import (
     with_units,
     write_batch,
 )
-from pm3dof_pin.description.coordinates import Coordinate, shown_in
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, shown_in
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 from pm3dof_pin.kinematics.pose_file import readings
 from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Vector
 
 Commands = Annotated[
@@ -109,6 +111,11 @@ def fk(
             for mode, residual in zip(modes, residuals, strict=True)
         ]
     lines = _pose_lines(machine.coordinates, modes if all_modes else [solved.coordinates])
+    if solved.solved and machine.tool_frame is not None:
+        components = dict(zip(TOOL_COMPONENTS, tool_components(solved.transforms), strict=True))
+        result["tool"] = {f"{k}_{'m' if k in 'xyz' else 'rad'}": float(value) for k, value in components.items()}
+        words = (in_words(k, "m" if k in "xyz" else "rad", value) for k, value in components.items())
+        lines += ["", f"tool {machine.tool_frame}: {', '.join(words)}"]
     print_result(result, lines, as_json=as_json)
     if not solved.solved:
         message("pm3dof: the machine's own assembly mode does not exist at these commands, or is not reached from home")

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -57,6 +58,34 @@ def srdf_text(xacro: Path, expanded: str, urdf: str, closures: str) -> str:
             robot.extend(elements)
     ElementTree.indent(robot, "  ")
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+
+
+def write_configuration(path: Path, name: str, configuration: Configuration) -> None:
+    """Write a named configuration into an SRDF, in place of one of this name; the file is made if there is none.
+
+    Raises:
+        DescriptionError: the file is no XML.
+        OutputError: it cannot be written.
+    """
+    robot, root = configuration.mechanism, ElementTree.Element("robot", name=configuration.mechanism.name)
+    if path.is_file():
+        try:
+            builder = ElementTree.TreeBuilder(insert_comments=True)
+            root = ElementTree.parse(path, ElementTree.XMLParser(target=builder)).getroot()
+        except ElementTree.ParseError as error:
+            raise DescriptionError(path, "file", f"is no XML: {error}") from error
+    for state in root.findall("group_state"):
+        if state.get("name") == name:
+            root.remove(state)
+    state = ElementTree.SubElement(root, "group_state", name=name, group="all")
+    for joint, kind in list(zip(robot.model.names, robot.model.joints, strict=True))[1:]:
+        if kind.nv == 1:
+            values = [round(configuration.joint_position(joint), _DIGITS) + 0.0]
+        else:
+            values = configuration.q[kind.idx_q : kind.idx_q + kind.nq].tolist()
+        ElementTree.SubElement(state, "joint", name=joint, value=" ".join(map(repr, values)))
+    ElementTree.indent(root, "  ")
+    write_text_atomically(path, f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n')
 
 
 def _mechanism(name: str, urdf: str, closures: str) -> Robot:

@@ -96,11 +96,15 @@ class Branches:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Which singularities bound a branch: "serial", "parallel", both or neither."""
+        """Which singularities bound a branch: "serial", "parallel", both or neither.
+
+        Where the coordinates are the commands, those of the loops are parallel singularities.
+        """
         if not self._robot.has_loops:
             return ()
-        serial = any(system.rows is not None for system in self._systems)
-        return tuple(name for name, is_one in (("serial", serial), ("parallel", bool(self._blocks))) if is_one)
+        own = any(system.rows is not None for system in self._systems)
+        found = {self.kind(1)} if own else set()
+        return tuple(sorted(found | ({"parallel"} if self._blocks else set()), reverse=True))
 
     def number(self, q: Vector) -> int:
         """Return the number of the branch of a closed configuration: 0 for that of the start, otherwise bits."""
@@ -111,8 +115,8 @@ class Branches:
 
     def kind(self, number: int) -> str:
         """Return the kind of singularity between two branches, from the bits in which their numbers differ."""
-        serial = number & ((1 << len(self._systems)) - 1)
-        return "serial" if serial else "parallel"
+        is_serial = bool(number & ((1 << len(self._systems)) - 1))
+        return "serial" if is_serial and self._robot.coordinates != self._robot.command_coordinates else "parallel"
 
     # definitions, from the samples
 

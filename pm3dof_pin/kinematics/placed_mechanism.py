@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +13,7 @@ from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, Assembly, assemble
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -20,29 +21,52 @@ from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Array, Vector
 
 _HOME = "home"
+_NEARBY, _NEARBY_STARTS = 0.01, 4  # of an open home [rad, characteristic lengths]
+_SAME = 0.2  # largest distance of configurations that are one [rad, characteristic lengths]
 
 
 class PlacedMechanism(Mechanism):
     """A mechanism with its home and coordinates; :class:`~pm3dof_pin.kinematics.robot.Robot` adds solvers to it."""
 
     @cached_property
-    def home(self) -> Configuration:
-        """The named configuration "home" or else all zeros, with its loops closed if possible nearby.
+    def described_home(self) -> Configuration:
+        """The named configuration "home" or else all zeros, whose loops may be open.
 
         In an open tree, joints whose limits exclude zero are put in the middle of their range, or at its end.
-        The actuated joints keep their positions if the loops close that way. If no closed configuration is found, it is
-        the described one: check its :attr:`Configuration.closure_residual`.
         """
         named = self.named_configurations.get(_HOME)
-        described = self.configuration(self._zeros if named is None else named)
+        return self.configuration(self._zeros if named is None else named)
+
+    @cached_property
+    def home(self) -> Configuration:
+        """The described home, with its loops closed if there is one way to do so nearby.
+
+        The actuated joints keep their positions if the loops close that way. If no closed configuration is found, or
+        different ones from starts a hundredth of a radian apart, it is the described one: check its
+        :attr:`Configuration.closure_residual`.
+        """
+        described = self.described_home
         if described.closure_residual <= CLOSURE_TOLERANCE:
             return described
         drives = {name: described.joint_position(name) for name in self.actuated_joints}
         for joints in (drives, {}):
             result = assemble(self, described, joints=joints)
-            if result.converged:
+            if result.converged and self._is_only_way(described, result, joints):
                 return result.configuration
         return described
+
+    def _is_only_way(self, described: Configuration, found: Assembly, joints: Mapping[str, float]) -> bool:
+        """Return whether starts near the described home end near the configuration found from it."""
+        if self.prototype is not self:  # as its prototype's, of which it is a small variation
+            return True
+        generator = np.random.default_rng(0)
+        for _ in range(_NEARBY_STARTS):
+            motion = self.velocity_scale * generator.uniform(-_NEARBY, _NEARBY, self.model.nv)
+            other = assemble(self, pin.integrate(self.model, described.q, motion), joints=joints)
+            apart = pin.difference(self.model, found.q, other.q) / self.velocity_scale
+            if not other.converged or np.abs(apart).max(initial=0.0) > _SAME:
+                return False
+        return True
 
     @property
     def _zeros(self) -> Vector:

@@ -29,7 +29,7 @@ from pm3dof_pin.exceptions import (
     UnreachablePoseError,
 )
 from pm3dof_pin.kinematics.assembly import assemble
-from pm3dof_pin.kinematics.branches import branches_of, start_of
+from pm3dof_pin.kinematics.branches import branches_of, not_closed, start_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.kinematics.pose_search import Solution, Solver, find_poses
@@ -558,11 +558,9 @@ class Robot(PlacedMechanism):
         """
         result = assemble(self, self.home if guess is None else guess, joints=joints)
         if not result.converged:
-            advice = "try a guess closer to an assembled configuration"
             if guess is None:
-                advice = (
-                    "define a configuration 'home' near an assembled one; pm3dof info names the loops that are open"
-                )
+                raise not_closed(self, result)
+            advice = "try a guess closer to an assembled configuration"
             raise ConvergenceError("closing the loops", result.residual, "m or rad", result.steps, advice)
         return result.configuration
 

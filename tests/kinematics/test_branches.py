@@ -14,7 +14,7 @@ import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.exceptions import ConvergenceError, PM3DofError, SingularConfigurationError, UnreachablePoseError
 from pm3dof_pin.kinematics.branches import branches_of
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -189,3 +189,133 @@ print(json.dumps(poses.transforms[:, :3, 3].tolist()))
         [sys.executable, "-c", script], input=json.dumps(commands.tolist()), capture_output=True, text=True, check=True
     )
     np.testing.assert_allclose(json.loads(done.stdout), expected.positions, atol=1e-9)
+
+
+URDF_JOINT = (
+    '<link name="{0}"/><joint name="{0}_joint" type="revolute"><parent link="{1}"/><child link="{0}"/>'
+    '<origin xyz="{2} {3} 0" rpy="{4}"/><axis xyz="0 0 1"/>'
+    '<limit lower="{5}" upper="{6}" effort="1" velocity="1"/></joint>'
+)
+URDF_FRAME = (
+    '<link name="{0}"/><joint name="{0}_fixed" type="fixed"><parent link="{1}"/><child link="{0}"/>'
+    '<origin xyz="{2} 0 0"/></joint>'
+)
+
+
+def four_bar_files(folder: Path, links: list[float], *, tilt: str = "0 0 0", crank=(-3.2, 3.2), rocker=(-3.2, 3.2)):
+    """Write a four-bar whose zero pose is collinear: crank, coupler, rocker and ground, in a plane tilted by rpy."""
+    crank_length, coupler, rocker_length, ground = links
+    text = '<robot name="fb"><link name="world"/>'
+    text += '<link name="base"/><joint name="tilt" type="fixed"><parent link="world"/><child link="base"/>'
+    text += f'<origin xyz="0 0 0" rpy="{tilt}"/></joint>'
+    text += URDF_JOINT.format("crank", "base", 0, 0, "0 0 0", *crank)
+    text += URDF_JOINT.format("coupler", "crank", crank_length, 0, "0 0 0", -3.2, 3.2)
+    text += URDF_JOINT.format("rocker", "base", ground, 0, "0 0 0", *rocker)
+    text += URDF_FRAME.format("tip", "coupler", coupler) + URDF_FRAME.format("end", "rocker", rocker_length)
+    (folder / "fb.urdf").write_text(text + "</robot>")
+    closures = "closed_loop: [[tip, end]]\ntype: [3d]\nname_mot: [crank_joint]\ntool_frame: tip\n"
+    (folder / "fb.closures.yaml").write_text(closures)
+    return folder / "fb.urdf"
+
+
+def rocker_angles(links: list[float], crank: float) -> np.ndarray:
+    """Return the two angles of the rocker of a four-bar at a crank angle, by the triangle of its diagonal."""
+    a, b, c, d = links
+    x, y = a * np.cos(crank) - d, a * np.sin(crank)
+    diagonal = np.hypot(x, y)
+    between = np.arccos((c**2 + diagonal**2 - b**2) / (2.0 * c * diagonal))
+    return np.arctan2(y, x) + between * np.array([1.0, -1.0])
+
+
+@pytest.mark.parametrize("tilt", ["0 0 0", "0.3 -0.7 1.1"])
+def test_a_collinear_home_is_refused_by_both_engines_and_assembled_on_request(tmp_path, run, answer, tilt):
+    links = [0.08, 0.22, 0.18, 0.24]
+    path = four_bar_files(tmp_path, links, tilt=tilt)
+    for engine in ("program", "pinocchio"):
+        with pytest.raises(ConvergenceError, match=r"closing the loops at home.*--assemble"):
+            Robot.load(path, engine=engine).forward([1.0])
+    for command in (["ik", "60"], ["fk", "60"], ["workspace"]):
+        done = run(command[0], "--robot", str(path), *command[1:])
+        assert done.returncode == 1
+        assert "--assemble" in done.stderr
+    listed = answer("info", str(path), "--assemble", status=1)
+    assert (len(listed["assemblies"]), listed["written"]) == (2, None)
+    for branch in (1, 2):
+        answer("info", str(path), "--assemble", "--branch", str(branch))
+        robot = Robot.load(path)
+        expected = rocker_angles(links, np.radians(60.0))
+        found = [robot.forward([np.radians(60.0)], engine=e).configuration() for e in ("program", "pinocchio")]
+        angles = [
+            (configuration.joint_position("rocker_joint") + np.pi) % (2 * np.pi) - np.pi for configuration in found
+        ]
+        assert angles[0] == pytest.approx(angles[1], abs=1e-9)
+        assert min(np.abs((angles[0] - expected + np.pi) % (2 * np.pi) - np.pi)) < 1e-9
+        side = listed["assemblies"][branch - 1]["joints"]["rocker_joint"]
+        crank = listed["assemblies"][branch - 1]["joints"]["crank_joint"]
+        nearest = [np.abs((a - side + np.pi) % (2 * np.pi) - np.pi) for a in rocker_angles(links, crank)]
+        assert np.argmin(nearest) == np.argmin(np.abs((expected - angles[0] + np.pi) % (2 * np.pi) - np.pi))
+
+
+def test_the_only_side_of_a_singular_home_within_limits_is_taken_and_said(tmp_path, run):
+    """A closed collinear four-bar, crank and coupler on ground and rocker; the rocker turns one way only."""
+    links = [0.1, 0.3, 0.15, 0.25]
+    both = Robot.load(four_bar_files(tmp_path, links))
+    assert both.home.closure_residual < 1e-12
+    for engine in ("program", "pinocchio"):
+        with pytest.raises(SingularConfigurationError, match=r"2 branches meet.*--assemble"):
+            both.forward([0.3], engine=engine)
+    one = Robot.load(four_bar_files(tmp_path, links, rocker=(0.0, 3.0), crank=(-3.0, 3.0)))
+    signs = []
+    for engine in ("program", "pinocchio"):
+        pose = one.forward([0.3], engine=engine).configuration()
+        signs.append(pose.joint_position("rocker_joint"))
+        assert min(np.abs(signs[-1] - rocker_angles(links, 0.3))) < 1e-9
+    assert signs[0] == pytest.approx(signs[1], abs=1e-9)
+    assert "only side of it within limits" in run("info", str(tmp_path / "fb.urdf")).stdout
+
+
+def random_machine(seed: int) -> Robot:
+    """A loop of random hinges, planar or spatial, cut open: its zero is closed, collinear and singular, or open."""
+    generator = np.random.default_rng(seed)
+    kind, spatial = ("collinear", "closed", "open")[seed % 3], seed % 2
+    model = pin.Model()
+    model.name = f"random_{kind}_{seed}"
+    count = 7 if spatial else 4
+    lengths = generator.uniform(0.1, 0.4, count)
+    parent, at = 0, pin.SE3.Identity()
+    axes = [pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ]
+    for k in range(count - 1):
+        joint = axes[int(generator.integers(3))] if spatial else pin.JointModelRZ
+        parent = model.addJoint(parent, joint(), at, f"j{k}")
+        turn = 0.0 if kind == "collinear" else generator.uniform(-1.5, 1.5)
+        rotation = pin.rpy.rpyToMatrix(*(generator.uniform(-1.5, 1.5, 3) if spatial and turn else (0.0, 0.0, turn)))
+        at = pin.SE3(rotation, np.array([lengths[k], 0.0, 0.0]))
+    model.addFrame(pin.Frame("tip", parent, at, pin.FrameType.OP_FRAME))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    end = data.oMf[model.getFrameId("tip")]
+    shift = generator.uniform(-0.15, 0.15, 3) * (1.0 if spatial else np.array([1.0, 1.0, 0.0]))
+    goal = pin.SE3(end.rotation, end.translation + (shift if kind == "open" else 0.0))
+    model.addFrame(pin.Frame("goal", 0, goal, pin.FrameType.OP_FRAME))
+    drives = [f"j{k}" for k in range(count - 1 - 3 if spatial else 1)]
+    return Robot(model, [LoopClosure("tip", "goal", "3d")], actuated_joints=drives, tool_frame="tip")
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_random_machines_have_one_branch_in_both_engines_or_one_refusal(seed):
+    robot = random_machine(seed)
+    widths = np.random.default_rng(seed).uniform(-0.15, 0.15, (6, len(robot.commands)))
+    answers: list[object] = []
+    for engine in ("program", "pinocchio"):
+        try:
+            home = robot.at([robot.home.q]).commands[0]
+            answers.append(robot.forward(home + widths, on_failure="nan", engine=engine))
+        except PM3DofError as error:
+            answers.append((type(error), str(error)))
+    first, second = answers
+    if isinstance(first, tuple):
+        assert first == second
+        return
+    np.testing.assert_array_equal(first.solved, second.solved)
+    np.testing.assert_allclose(first.q[first.solved], second.q[second.solved], atol=1e-8)
+    np.testing.assert_array_equal(first.branch, 0)
