@@ -13,7 +13,7 @@ from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.typing import Vector
 
 _GREATEST = 1e100  # the product of any three is a number
-_Array = TypeVar("_Array", bound=NDArray[Any])
+AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
@@ -92,7 +92,7 @@ def listed(numbers: Vector) -> str:
     return f"({' '.join(f'{number:.4g}' for number in numbers)})"
 
 
-def frozen(array: _Array) -> _Array:
+def frozen(array: AnyArray) -> AnyArray:
     """Make an array read-only and return it."""
     array.setflags(write=False)
     return array

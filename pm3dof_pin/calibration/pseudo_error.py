@@ -32,7 +32,7 @@ _SHOWN = 1e-4  # relative to the best-seen direction of a pose: one with 100 tim
 
 
 @dataclass(frozen=True, eq=False)
-class _SeenErrors:
+class SeenErrors:
     """Tip-weighted errors of poses relative to a model, as far as measurements show them."""
 
     errors: Array  #: e, 0 along directions that are not shown, shape=(visits, 6) [m]
@@ -40,7 +40,7 @@ class _SeenErrors:
     shown: Array  #: projections on the directions that are shown, shape=(visits, 6, 6)
 
 
-def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> _SeenErrors:
+def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> SeenErrors:
     """Combine the rows of each visit, relative to the model's poses; eta weighs the orientation [m/rad].
 
     Errors are infinite at poses that are not finite, as after steps of many turns.
@@ -63,19 +63,19 @@ def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGT
     shown = (axes * known[:, None, :]) @ transposed
     errors = np.einsum("nij,nj->ni", covariances, pull)
     errors[lost] = np.inf
-    return _SeenErrors(errors, covariances, shown)
+    return SeenErrors(errors, covariances, shown)
 
 
 @dataclass(frozen=True, eq=False)
-class _PseudoErrors:
+class PseudoErrors:
     """Pseudo-errors from measurements relative to a model of the machine, one per visit."""
 
     deviations: Array  #: du, shape=(visits, number of commands) [m, rad]
     covariances: Array  #: of du, from the measurements' noise, shape=(visits, number of commands, same)
-    at_commands: _SeenErrors  #: seen part of the model's tip-weighted error at the commands
+    at_commands: SeenErrors  #: seen part of the model's tip-weighted error at the commands
     left: Array  #: the same at the deviated commands: what no command corrects, shape=(visits, 6) [m]
     control: Array  #: tip-weighted motion of the seen part by the drives' joints, shape=(visits, 6, number of commands)
-    seen: _SeenErrors  #: errors at the deviated commands with their noise
+    seen: SeenErrors  #: errors at the deviated commands with their noise
 
     @property
     def before(self) -> Array:
@@ -95,7 +95,7 @@ def control_inverse(control: Array, seen: float = SEEN) -> Array:
 
 def pseudo_errors(
     measurements: Measurements, model: Poses, eta: float = TIP_LENGTH, *, seen: float = SEEN
-) -> _PseudoErrors:
+) -> PseudoErrors:
     """Find the deviations of the commands that explain measurements, by inverting a model's kinematics at the visits.
 
     Raises:
@@ -105,13 +105,13 @@ def pseudo_errors(
     scales = command_scales(model)
 
     @cache  # poses after a step are requested again
-    def errors_at(poses: Poses) -> _SeenErrors:
+    def errors_at(poses: Poses) -> SeenErrors:
         return seen_errors(measurements, poses, eta)
 
     def residuals(poses: Poses) -> Array:
         return errors_at(poses).errors
 
-    def control(poses: Poses, found: _SeenErrors) -> Array:
+    def control(poses: Poses, found: SeenErrors) -> Array:
         whole = weighted_control(poses, eta)
         shown = found.shown @ whole
         # drives that hardly move the seen part, such as a delta robot's its orientation, do not explain it
@@ -127,4 +127,4 @@ def pseudo_errors(
     reached = control(poses, found)
     gain = scales[:, None] * control_inverse(reached, seen)
     covariances = gain @ found.covariances @ np.swapaxes(gain, 1, 2)
-    return _PseudoErrors(deviations, covariances, errors_at(model), found.errors, reached, found)
+    return PseudoErrors(deviations, covariances, errors_at(model), found.errors, reached, found)

@@ -24,7 +24,7 @@ _DISTINCT = 1e-7  # solutions closer than this are the same [rad, m]
 
 
 @dataclass(frozen=True)
-class _DirectKinematics:
+class DirectKinematics:
     """Result of Newton's method."""
 
     poses: Array  #: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m]
@@ -35,7 +35,7 @@ class _DirectKinematics:
 
 def newton(
     tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None, *, most_steps: int = _MOST_STEPS
-) -> _DirectKinematics:
+) -> DirectKinematics:
     """Solve the direct kinematics by Newton's method on the link lengths; quadratic near a solution.
 
     The equations are (|k_i|^2 - l^2) / (2 l) = 0, in metres, and their derivative k_i . J_i / l (8.5); with more than
@@ -63,7 +63,7 @@ def newton(
         moving = moving[far]
         poses[moving] -= _shortened(_least_squares_step(jacobian[far], errors[far]))
         steps[moving] += 1
-    return _DirectKinematics(
+    return DirectKinematics(
         poses.reshape(*shape, 3), residual.reshape(shape), steps.reshape(shape), (residual <= TOLERANCE).reshape(shape)
     )
 

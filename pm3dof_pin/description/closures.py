@@ -138,11 +138,15 @@ class ClosuresFile:
     tool_motions: tuple[ToolComponent, ...] = ()
 
 
-class _SwingLimit(Schema):
+class SwingLimitSchema(Schema):
+    """The swing limit of a closure [rad]."""
+
     swing_rad: Annotated[float, msgspec.Meta(gt=0.0, le=math.pi)]
 
 
-class _Coordinate(Schema):
+class CoordinateSchema(Schema):
+    """A coordinate that places the tool."""
+
     name: Name
     unit: Unit
     joint: Name | None = None
@@ -152,12 +156,16 @@ class _Coordinate(Schema):
     range: tuple[Length, Length] | None = None
 
 
-class _Axes(Schema):
+class AxesSchema(Schema):
+    """The axes of a closure, in its first and second frame."""
+
     axis: Axis | None = None
     axis_b: Axis | None = None
 
 
-class _Coupling(Schema):
+class CouplingSchema(Schema):
+    """A joint that follows others: coefficients by joint."""
+
     joint: Name
     of: dict[Name, float | Annotated[list[float], msgspec.Meta(min_length=1, max_length=MAX_DEGREE)]]
     offset: float = 0.0
@@ -168,18 +176,18 @@ class ClosuresSchema(Schema):
 
     closed_loop: list[tuple[Name, Name]] | None = None
     type: list[Name] | None = None
-    closure_axes: list[_Axes | None] | None = None
+    closure_axes: list[AxesSchema | None] | None = None
     closure_lengths: list[PositiveLength | None] | None = None
-    couplings: list[_Coupling] | None = None
+    couplings: list[CouplingSchema] | None = None
     name_mot: list[Name] | None = None
     joint_name: list[Name] | None = None
     joint_type: list[Name] | None = None
     tool_frame: Name | None = None
     motion_coordinates: list[Name] | None = None
-    closure_limits: list[_SwingLimit | None] | None = None
+    closure_limits: list[SwingLimitSchema | None] | None = None
     springs: list[dict[str, Any]] | None = None
     commands: list[Command] | None = None
-    coordinates: list[_Coordinate] | None = None
+    coordinates: list[CoordinateSchema] | None = None
     limit_groups: dict[Name, list[Name | int]] | None = None
     tool_motions: Annotated[list[ToolComponent], msgspec.Meta(min_length=1)] | None = None
 
@@ -234,7 +242,7 @@ def _closures(path: Path, file: ClosuresSchema) -> tuple[LoopClosure, ...]:
     return tuple(closures)
 
 
-def _coupling(path: Path, index: int, entry: _Coupling) -> Coupling:
+def _coupling(path: Path, index: int, entry: CouplingSchema) -> Coupling:
     powers = [(c,) if isinstance(c, float) else tuple(c) for c in entry.of.values()]
     try:
         return Coupling(entry.joint, tuple(entry.of), tuple(powers), entry.offset, Origin(path))
@@ -253,7 +261,7 @@ def _commands(path: Path, file: ClosuresSchema) -> tuple[Command, ...]:
     return commands
 
 
-def _coordinate(path: Path, index: int, entry: _Coordinate) -> Coordinate:
+def _coordinate(path: Path, index: int, entry: CoordinateSchema) -> Coordinate:
     place = f"coordinates[{index}]"
     lower, upper = entry.range or (None, None)
     if (entry.joint is None) == (entry.tool is None):
@@ -268,7 +276,7 @@ def _coordinate(path: Path, index: int, entry: _Coordinate) -> Coordinate:
     )
 
 
-def _require_scale(path: Path, place: str, entry: Command | _Coordinate) -> None:
+def _require_scale(path: Path, place: str, entry: Command | CoordinateSchema) -> None:
     scale = entry.scale
     if not _LEAST_SCALE <= abs(scale) <= 1.0 / _LEAST_SCALE:
         expected = f"expected a magnitude from {_LEAST_SCALE:g} to {1.0 / _LEAST_SCALE:g}, not {scale:g}"

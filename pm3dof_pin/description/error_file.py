@@ -13,7 +13,7 @@ from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 
 AXES = ("x", "y", "z")
-_Word = Literal["x", "y", "z", "along", "across"]
+Word = Literal["x", "y", "z", "along", "across"]
 
 
 @dataclass(frozen=True)
@@ -40,22 +40,26 @@ class ErrorFile:
     sources: SourceNumbers  #: parameters of all other error sources
 
 
-class _Line(Schema):
+class LineSchema(Schema):
+    """Errors of some places, by their directions."""
+
     at: Name | list[Name]
-    translation: _Word | list[_Word] | None = None
-    rotation: _Word | list[_Word] | None = None
+    translation: Word | list[Word] | None = None
+    rotation: Word | list[Word] | None = None
 
 
-class _Class(Schema):
+class ClassSchema(Schema):
+    """A class of errors with common tolerances."""
+
     length_tolerance_m: LengthTolerance
     angle_tolerance_rad: AngleTolerance
-    errors: list[_Line]
+    errors: list[LineSchema]
 
 
 class ErrorFileSchema(Schema):
     """The keys and value types of an error file."""
 
-    classes: dict[str, _Class]
+    classes: dict[str, ClassSchema]
     command_zeros: dict[Name, Name] | None = None
     sources: SourceNumbers = SourceNumbers()
 

@@ -21,7 +21,7 @@ from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Matrix, Vector
 
 
-class _JointMotion(NamedTuple):
+class JointMotion(NamedTuple):
     """Velocity and acceleration of all joints: v and dv/dt, shape=(nv,) [SI].
 
     `idle` are the motions that remain with the given joints, and thus actuated joints and tool, at rest, such as the
@@ -108,7 +108,7 @@ def loop_motion(
     accelerations: ArrayLike,
     *,
     joints: Iterable[str] | None = None,
-) -> _JointMotion:
+) -> JointMotion:
     """Compute the motion of all joints from that of some, with closed loops: G v = 0, G dv/dt + dG/dt v = 0.
 
     Arguments and errors as in :func:`inverse_dynamics`.
@@ -129,7 +129,7 @@ def loop_motion(
     v = _reached("rates", given, start, np.zeros_like(dof.scale), units)
     drift = mechanism.loop_kinematics.drift(configuration.q, dof.scale * v)
     a = _reached("accelerations", given, wanted, -dof.closures.inverse @ (drift / mechanism.closure_scale), units)
-    return _JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
+    return JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
 
 
 def _reached(argument: str, given: Restriction, numbers: Vector, start: Vector, units: Vector) -> Vector:

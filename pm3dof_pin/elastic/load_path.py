@@ -56,7 +56,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class _PathPoint:
+class PathPoint:
     """An equilibrium on the path."""
 
     factor: float  #: the factor of the growing loads
@@ -75,7 +75,7 @@ class _PathPoint:
         """Whether the equilibrium is stable."""
         return self.state.least_eigenvalue > 0.0
 
-    def reversed(self) -> _PathPoint:
+    def reversed(self) -> PathPoint:
         """Return the same point with the opposite direction."""
         return replace(self, direction=-self.direction)
 
@@ -84,8 +84,8 @@ class _PathPoint:
 class PathStep:
     """One step along the path."""
 
-    start: _PathPoint  #: its start
-    end: _PathPoint  #: its end
+    start: PathPoint  #: its start
+    end: PathPoint  #: its end
     length: float  #: its length
     bifurcation: bool  #: whether two paths meet within it
 
@@ -130,13 +130,13 @@ class LoadPath:
         """
         return LoadedState(self._model, self.rest, self._applied(factor), guess).settled()
 
-    def begin(self, state: LoadedState, typical_factor: float) -> _PathPoint:
+    def begin(self, state: LoadedState, typical_factor: float) -> PathPoint:
         """Return the start of the path, at factor 0, in the direction of growing load, scaled by a typical factor."""
         self._typical_factor = typical_factor
         self._typical_strain = float(np.linalg.norm(state.force(self.growing))) * typical_factor or 1.0
         towards = np.zeros(len(state.motions.whitened) + len(self.rest.constraint_jacobian.T) + 1)
         towards[-1] = 1.0
-        return _PathPoint(0.0, state, self._direction(state, towards), 0)
+        return PathPoint(0.0, state, self._direction(state, towards), 0)
 
     def settle(self) -> tuple[LoadedState, int]:
         """Find the equilibrium under the full growing loads, and the corrections of the last step.
@@ -197,7 +197,7 @@ class LoadPath:
         state, _ = path.settle()
         return LoadedState(self._model, self.rest, self._applied(0.0), state.configuration, state.deflections)
 
-    def advance(self, point: _PathPoint, length: float) -> PathStep:
+    def advance(self, point: PathPoint, length: float) -> PathStep:
         """Continue along the path by a length, or less where the path bends or branches.
 
         Raises:
@@ -225,7 +225,7 @@ class LoadPath:
             point, "it reaches a singular configuration, a dead point of its passive joints" if nearly else ""
         )
 
-    def follow(self, point: _PathPoint, factor: float) -> _PathPoint:
+    def follow(self, point: PathPoint, factor: float) -> PathPoint:
         """Follow the path to a factor. If it becomes unstable at a bifurcation, a stable branch is taken.
 
         Raises:
@@ -256,7 +256,7 @@ class LoadPath:
             point, length = step.end, _GROWTH * step.length
         self._give_up(point, f"a factor of {factor:.6g} is not reached after {_MOST_POINTS} points")
 
-    def critical_point(self, step: PathStep) -> _PathPoint:
+    def critical_point(self, step: PathStep) -> PathPoint:
         """Return the point within a step where an eigenvalue of the tangent changes sign.
 
         The bracket is narrowed from the nearest point found so far, so that every search starts next to the path.
@@ -264,7 +264,7 @@ class LoadPath:
         near, far, width = step.start, step.end, step.length
         index = min(near.state.instability, far.state.instability)
 
-        def value(point: _PathPoint) -> float:
+        def value(point: PathPoint) -> float:
             return float(point.state.eigenvalues[index])
 
         best = min(near, far, key=lambda point: abs(value(point)))
@@ -283,7 +283,7 @@ class LoadPath:
             best = min(best, found, key=lambda point: abs(value(point)))
         return best
 
-    def _past_bifurcation(self, step: PathStep, *, grows: bool) -> _PathPoint:
+    def _past_bifurcation(self, step: PathStep, *, grows: bool) -> PathPoint:
         """Continue past a bifurcation: on a stable branch if the path was stable, else straight on."""
         if not step.start.stable:
             _log.warning("bifurcation at a factor of %.6g, branch followed: straight on, unstable", step.start.factor)
@@ -313,12 +313,12 @@ class LoadPath:
         name = mechanism.model.names[1 + int(np.searchsorted(np.cumsum(joints), most, side="right"))]
         return f"with '{name}' {'growing' if velocity[most] > 0.0 else 'falling'}"
 
-    def _give_up(self, point: _PathPoint, why: str) -> NoReturn:
+    def _give_up(self, point: PathPoint, why: str) -> NoReturn:
         residual = float(np.abs(point.state.unbalanced).max(initial=0.0))
         task = f"the load path beyond a factor of {point.factor:.8g}"
         raise ConvergenceError(task, residual, "N or N m", point.steps, why)
 
-    def point_at(self, point: _PathPoint, length: float, target: float | None = None) -> _PathPoint | None:
+    def point_at(self, point: PathPoint, length: float, target: float | None = None) -> PathPoint | None:
         """Return the point of the path at a distance from another; None if not found or if the path turns sharply.
 
         Corrections return to the path by the least move, or at a target factor if given.
@@ -345,7 +345,7 @@ class LoadPath:
                     state, factor = closer, factor + rise
                 direction = self._direction(state, point.direction)
                 turned = direction @ point.direction < _SHARPEST_TURN
-                return None if turned else _PathPoint(factor, state, direction, count + 1)
+                return None if turned else PathPoint(factor, state, direction, count + 1)
             state, factor = closer, factor + rise
         return None
 
@@ -380,13 +380,13 @@ class LoadPath:
         return np.append(state.invariant(nearest[:-1]), nearest[-1])
 
 
-def _one_piece(start: _PathPoint, end: _PathPoint) -> bool:
+def _one_piece(start: PathPoint, end: PathPoint) -> bool:
     """Return whether at most one limit point lies between two points of a path, and nothing else."""
     changed = abs(end.state.instability - start.state.instability)
     return changed == (end.load_grows != start.load_grows)
 
 
-def _crossing(start: _PathPoint, end: _PathPoint) -> float:
+def _crossing(start: PathPoint, end: PathPoint) -> float:
     """Estimate where between two points an eigenvalue vanishes, relative to their distance."""
     index = min(start.state.instability, end.state.instability)
     near, far = float(start.state.eigenvalues[index]), float(end.state.eigenvalues[index])

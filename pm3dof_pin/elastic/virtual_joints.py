@@ -52,7 +52,7 @@ _RAYLEIGH = 33.0 / 140.0  # of a uniform cantilever's mass, moves with its tip i
 
 
 @dataclass(frozen=True, eq=False)
-class _VirtualJoints:
+class VirtualJoints:
     """A mechanism with virtual joints, and the indices of the rigid one's joints in it."""
 
     mechanism: Robot  #: the mechanism with virtual joints; it has no springs in its description
@@ -61,7 +61,7 @@ class _VirtualJoints:
     v_indices: Indices  #: index in its v of each entry of the rigid mechanism's v, shape=(nv,)
 
 
-def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> _VirtualJoints:
+def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> VirtualJoints:
     """Insert the virtual joints of springs into a copy of a mechanism. Joint springs need none.
 
     Raises:
@@ -193,7 +193,7 @@ class _Builder:
             for index, frame in enumerate(self._frames)
         ]
 
-    def result(self) -> _VirtualJoints:
+    def result(self) -> VirtualJoints:
         self._check_names()
         for chain in self._chains:
             self._place(chain)
@@ -205,7 +205,7 @@ class _Builder:
         joints: dict[str, tuple[str, ...]] = {}
         for chain in self._chains:
             joints[chain.spring] = joints.get(chain.spring, ()) + chain.joints
-        return _VirtualJoints(self._mechanism_of_new_tree(), joints, q_indices, v_indices)
+        return VirtualJoints(self._mechanism_of_new_tree(), joints, q_indices, v_indices)
 
     def _check_names(self) -> None:
         closures = [chain.closure for chain in self._chains if chain.closure is not None]

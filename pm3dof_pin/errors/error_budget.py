@@ -27,7 +27,7 @@ TOGETHER = "together"
 
 
 @dataclass(frozen=True)
-class _BudgetLine:
+class BudgetLine:
     """One line of the budget: a source, or all of them, over the poses of a map."""
 
     name: str  #: the source, or :data:`TOGETHER`
@@ -93,7 +93,7 @@ class ErrorBudget(ToolErrors):
             squares += np.sum(effects**2, axis=(1, 2))
         return np.asarray(np.sqrt(squares + np.sum(self._left(shift[:, :, None]) ** 2, axis=(1, 2))))
 
-    def lines(self) -> list[_BudgetLine]:
+    def lines(self) -> list[BudgetLine]:
         """Return the budget source by source, and finally for all combined."""
         apart = {source.name: self.select([source.name]) for source in self.sources}
         squares = {name: float(np.mean(alone.tip_rms**2)) for name, alone in apart.items()}
@@ -101,9 +101,9 @@ class ErrorBudget(ToolErrors):
         lines = [apart[s.name]._line(s.name, s.error_class, s.long_name, squares[s.name] / whole) for s in self.sources]
         return [*lines, self._line(TOGETHER, "all", "all sources together", 1.0)]
 
-    def _line(self, name: str, error_class: str, long_name: str, share: float) -> _BudgetLine:
+    def _line(self, name: str, error_class: str, long_name: str, share: float) -> BudgetLine:
         tip = self.tip_rms
-        return _BudgetLine(
+        return BudgetLine(
             name,
             error_class,
             long_name,
@@ -159,7 +159,7 @@ def error_budget(
     return budget.select(names) if names else budget
 
 
-def budget_as_data(lines: Sequence[_BudgetLine]) -> list[dict[str, Any]]:
+def budget_as_data(lines: Sequence[BudgetLine]) -> list[dict[str, Any]]:
     """Return the lines of a budget as plain data; keys end in their unit."""
     lengths = ("tip_rms", "greatest_tip_rms", "worst_tip", "left", "energy")
     return [{f"{key}_m" if key in lengths else key: value for key, value in vars(line).items()} for line in lines]

@@ -209,7 +209,7 @@ def section_grid(
 
 
 @dataclass(frozen=True, eq=False)
-class _MonteCarlo:
+class MonteCarlo:
     """Errors of simulated machines, computed by closing their loops, without linearisation."""
 
     values: Array  #: p of each machine, shape=(machines, number of parameters) [m, rad]
@@ -227,7 +227,7 @@ def monte_carlo(
     generator: np.random.Generator,
     *,
     distribution: Distribution = "normal",
-) -> _MonteCarlo:
+) -> MonteCarlo:
     """Draw machines within the tolerances and compute their true tool poses at the commands of given poses.
 
     Raises:
@@ -238,4 +238,4 @@ def monte_carlo(
         pose_difference(poses.transforms, errors.apply(p).forward(poses.commands, guess=poses.q).transforms)
         for p in values
     ]
-    return _MonteCarlo(frozen(values), frozen(np.array(differences)))
+    return MonteCarlo(frozen(values), frozen(np.array(differences)))

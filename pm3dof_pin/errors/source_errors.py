@@ -67,7 +67,7 @@ class SourceErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class _KinematicNumbers:
+class KinematicNumbers:
     """The independent numbers of class "kinematic parameters", whose effects are columns of constant sensitivities."""
 
     errors: GeometricErrors  #: geometric errors, then waves across guideways
@@ -177,7 +177,7 @@ class ErrorSources:
         return closable(GeometricErrors(robot, named))
 
     @cached_property
-    def kinematic(self) -> _KinematicNumbers:
+    def kinematic(self) -> KinematicNumbers:
         """The numbers of class "kinematic parameters", without poses."""
         errors, numbers = self.errors, self.numbers.waviness
         beside = [parameter for parameter in self.others.parameters if parameter.group == "waviness"]
@@ -186,7 +186,7 @@ class ErrorSources:
         along = np.where(self.slides, numbers.pitch_m, 0.0)
         waves = np.concatenate([np.full(len(beside), numbers.straightness_m), along]) * scatter
         factor = self.geometry_factor
-        return _KinematicNumbers(
+        return KinematicNumbers(
             GeometricErrors(self.robot, (*errors.parameters, *beside)),
             np.concatenate([errors.tolerances / factor, waves]),
             np.repeat([factor, most, most], counts),

@@ -32,7 +32,7 @@ Rule = Literal["equal_contributions", "least_cost"]
 
 
 @dataclass(frozen=True, eq=False)
-class _Allocation:
+class Allocation:
     """Tolerances that keep the tip error within a target at every pose of a map."""
 
     tolerances: dict[str, float]  #: of each class of parts and unit, by "class [unit]" [m, rad]
@@ -43,7 +43,7 @@ class _Allocation:
 
 def allocate_tolerances(
     error_map: ErrorMap, target: float, rule: Rule, *, compensated: bool = False, coverage: float | None = None
-) -> _Allocation:
+) -> Allocation:
     """Allocate tolerances so that the worst pose just meets a target.
 
     Args:
@@ -87,7 +87,7 @@ def allocate_tolerances(
     tolerances, shares = np.full(len(names), np.inf), np.zeros(len(names))
     tolerances[active] = sigmas * (1.0 if error_map.distribution == "normal" else HALF_WIDTH)
     shares[active] = parts.mean(axis=0) / parts.mean(axis=0).sum()
-    return _Allocation(
+    return Allocation(
         tolerances=dict(zip(names, tolerances.tolist(), strict=True)),
         shares=dict(zip(names, shares.tolist(), strict=True)),
         cost=float(np.sum(costs[active] / tolerances[active])),

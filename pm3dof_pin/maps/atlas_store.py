@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 Block: TypeAlias = tuple[int, ...]
 """First index of a block along each dimension."""
 
-_Place: TypeAlias = tuple[slice, ...]
+Place: TypeAlias = tuple[slice, ...]
 
 _RECORDS = "finished"
 _NO_CHECKSUM = "0" * 64  # in its place while the checksum is computed
@@ -175,13 +175,13 @@ class AtlasStore:
         """Return the type of an array."""
         return self._arrays[name].dtype
 
-    def write(self, name: str, place: _Place, values: Any) -> None:
+    def write(self, name: str, place: Place, values: Any) -> None:
         """Write the values of one array at one block."""
         array = self._arrays[name]
         with np.errstate(over="ignore"):  # numbers beyond single precision become infinite
             array[place] = np.asarray(values).astype(array.dtype, copy=False)
 
-    def read(self, name: str, place: _Place) -> Any:
+    def read(self, name: str, place: Place) -> Any:
         """Read the values of one array at one block; OSError if they differ from what was written."""
         try:
             return self._arrays[name][place]
@@ -203,7 +203,7 @@ class AtlasStore:
         if self.parts.is_dir() and not (unless_resumable and self._records()):
             shutil.rmtree(self.parts)
 
-    def finish(self, blocks: Iterable[_Place]) -> Path:
+    def finish(self, blocks: Iterable[Place]) -> Path:
         """Make the result from the finished blocks and return its path; OSError for a full disk or a damaged block."""
         if self.path.suffix == ".nc":
             try:
@@ -272,7 +272,7 @@ class AtlasStore:
                 attributes={key: _plain(value) for key, value in variable.attributes.items()},
             )
 
-    def _copy_to_netcdf(self, blocks: Iterable[_Place]) -> None:
+    def _copy_to_netcdf(self, blocks: Iterable[Place]) -> None:
         """Copy the store block by block, in order."""
         import netCDF4
 
@@ -286,7 +286,7 @@ class AtlasStore:
                 checksum = hashlib.file_digest(data, "sha256").hexdigest()
                 data.write(_TRAILER + checksum.encode())
 
-    def _fill(self, file: Any, blocks: Iterable[_Place]) -> None:
+    def _fill(self, file: Any, blocks: Iterable[Place]) -> None:
         file.setncatts(dict(self.attributes))
         for name, (values, attributes) in self.coordinates.items():
             file.createDimension(name, len(values))

@@ -17,7 +17,7 @@ _BOX_TILTS, _BOX_HEIGHTS = 80, 84  # cells of the printed box: 1 deg and 2 mm wi
 
 
 @dataclass(frozen=True)
-class _RangeStatement:
+class RangeStatement:
     """One comparison of a printed range with the computed one."""
 
     subject: str  #: what is compared: z_e, slider_travel, theta_x, theta_y, box, or binding_limits
@@ -52,7 +52,7 @@ def printed_ranges(tripod: Tripod) -> Array:
     return np.array([p.tilt_range, p.tilt_range, p.height_range])
 
 
-def compare_printed_ranges(tripod: Tripod, workspace: Workspace) -> list[_RangeStatement]:
+def compare_printed_ranges(tripod: Tripod, workspace: Workspace) -> list[RangeStatement]:
     """Compare the chapter's printed ranges of theta_x, theta_y and z_e with a reachable set."""
     return [
         _heights(tripod, workspace),
@@ -64,17 +64,17 @@ def compare_printed_ranges(tripod: Tripod, workspace: Workspace) -> list[_RangeS
     ]
 
 
-def _heights(tripod: Tripod, workspace: Workspace) -> _RangeStatement:
+def _heights(tripod: Tripod, workspace: Workspace) -> RangeStatement:
     printed, computed = tripod.parameters.height_range, workspace.level_range
     shift = 1e3 * (computed - printed)
     text = (
         f"z_e runs from {computed[0]:.4f} to {computed[1]:.4f} m, printed {printed[0]:.3f} to {printed[1]:.3f} m: "
         f"{shift[0]:+.1f} mm at the lower end, {shift[1]:+.1f} mm at the upper"
     )
-    return _RangeStatement("z_e", _numbers(printed), _numbers(computed), "m", text)
+    return RangeStatement("z_e", _numbers(printed), _numbers(computed), "m", text)
 
 
-def _travel_at_printed_heights(tripod: Tripod) -> _RangeStatement:
+def _travel_at_printed_heights(tripod: Tripod) -> RangeStatement:
     """Slider travel of the level platform at the printed heights, NaN if no travel reaches them."""
     printed = tripod.parameters.height_range
     stops = tripod.bounds[:2]
@@ -84,10 +84,10 @@ def _travel_at_printed_heights(tripod: Tripod) -> _RangeStatement:
         f"a level platform at the printed heights needs the sliders at {travel[0]:.4f} and {travel[1]:.4f} m; "
         f"they run from {stops[0]:.4f} to {stops[1]:.4f} m"
     )
-    return _RangeStatement("slider_travel", _numbers(stops), _numbers(travel), "m", text)
+    return RangeStatement("slider_travel", _numbers(stops), _numbers(travel), "m", text)
 
 
-def _tilts(tripod: Tripod, workspace: Workspace, axis: int) -> _RangeStatement:
+def _tilts(tripod: Tripod, workspace: Workspace, axis: int) -> RangeStatement:
     name = ("theta_x", "theta_y")[axis]
     printed, computed = tripod.parameters.tilt_range, workspace.ranges[axis]
     heights = workspace.range_levels[axis]
@@ -99,10 +99,10 @@ def _tilts(tripod: Tripod, workspace: Workspace, axis: int) -> _RangeStatement:
         f"(at {heights[1]:.4f} m), printed {low:.0f} to {high:.0f} deg; "
         f"to both sides at one height it reaches {both:.1f} deg"
     )
-    return _RangeStatement(name, _numbers(printed), (*_numbers(computed), both_sides), "rad", text)
+    return RangeStatement(name, _numbers(printed), (*_numbers(computed), both_sides), "rad", text)
 
 
-def _box(tripod: Tripod, workspace: Workspace) -> _RangeStatement:
+def _box(tripod: Tripod, workspace: Workspace) -> RangeStatement:
     """Share of the printed box that is reachable, and share of the reachable set in the box, by counting cells."""
     tilt, height = _numbers(tripod.parameters.tilt_range), _numbers(tripod.parameters.height_range)
     tilts, heights = _cell_centres(tilt[0], tilt[1], _BOX_TILTS), _cell_centres(height[0], height[1], _BOX_HEIGHTS)
@@ -113,19 +113,19 @@ def _box(tripod: Tripod, workspace: Workspace) -> _RangeStatement:
         f"{filled:.1%} of the printed box of theta_x, theta_y and z_e is within all joint limits; "
         f"{inside:.1%} of the reachable set is in the box"
     )
-    return _RangeStatement("box", (1.0,), (filled, inside), "1", text)
+    return RangeStatement("box", (1.0,), (filled, inside), "1", text)
 
 
 def _cell_centres(first: float, last: float, count: int) -> Array:
     return first + (last - first) * (np.arange(count) + 0.5) / count
 
 
-def _binding_limits(workspace: Workspace) -> _RangeStatement:
+def _binding_limits(workspace: Workspace) -> RangeStatement:
     shares = workspace.limit_shares
     binding = ", ".join(f"{limit} {share:.0%}" for limit, share in shares.items() if share > 0.0)
     idle = ", ".join(limit for limit, share in shares.items() if share == 0.0)
     text = f"limits that end the reachable set, by their share of the boundary: {binding}; never: {idle or 'none'}"
-    return _RangeStatement("binding_limits", (), tuple(shares.values()), "1", text)
+    return RangeStatement("binding_limits", (), tuple(shares.values()), "1", text)
 
 
 def _numbers(values: Array) -> tuple[float, ...]:

@@ -65,7 +65,7 @@ class Distribution:
 
 
 @dataclass(frozen=True)
-class _SpringRank:
+class SpringRank:
     """Importance of one spring for one axis of the tool, over the reachable set."""
 
     axis: str  #: x, y, z, rx, ry or rz: the tool loaded along it and otherwise free
@@ -91,7 +91,7 @@ class WorkspaceEvaluation:
     distributions: tuple[Distribution, ...]  #: of every quantity and entry
     indices: dict[str, float]  #: the global indices; empty if the elastic stiffness was not requested
     #: rank of every spring for every axis, most important first; empty without the shares of the springs
-    springs: tuple[_SpringRank, ...]
+    springs: tuple[SpringRank, ...]
 
 
 def evaluate_workspace(
@@ -126,7 +126,7 @@ def evaluate_workspace(
         units = [unit_of_entry(variable.attrs["units"], str(entry)) for entry in variable[variable.dims[-1]].values]
         turns = np.array([unit == "N m/rad" for unit in units]) if name == "free_stiffness" else np.arange(6) >= 3
         indices = _global_indices(variable.values[inside], turns, weights[inside])
-    ranks: tuple[_SpringRank, ...] = ()
+    ranks: tuple[SpringRank, ...] = ()
     if springs:
         dataset = _with_critical_springs(dataset)
         ranks = tuple(_ranks(dataset, inside, weights))
@@ -231,7 +231,7 @@ def _leading(shares: Array) -> Mask:
     return leading
 
 
-def _ranks(dataset: xr.Dataset, inside: Mask, weights: Array) -> Iterator[_SpringRank]:
+def _ranks(dataset: xr.Dataset, inside: Mask, weights: Array) -> Iterator[SpringRank]:
     shares, critical = dataset[SHARES].values[inside], dataset[CRITICAL].values[inside]
     names = [str(name) for name in dataset["spring"].values]
     for number, axis in enumerate(map(str, dataset["axis"].values)):
@@ -244,7 +244,7 @@ def _ranks(dataset: xr.Dataset, inside: Mask, weights: Array) -> Iterator[_Sprin
         governs = np.average(leading / leading.sum(axis=1, keepdims=True), axis=0, weights=volume)
         gains = np.average(1.0 / (1.0 - parts * STIFFER / (1.0 + STIFFER)) - 1.0, axis=0, weights=volume)
         for spring in np.argsort(-means, kind="stable"):
-            yield _SpringRank(
+            yield SpringRank(
                 axis,
                 names[spring],
                 float(governs[spring]),

@@ -41,7 +41,7 @@ _TWIST = {"tx": "m", "ty": "m", "tz": "m", "rx": "rad", "ry": "rad", "rz": "rad"
 
 
 @dataclass(frozen=True, eq=False)
-class _Nuisance(ABC):
+class NuisancePart(ABC):
     """One kind of nuisance parameters. Rows of measurements without its data do not depend on it."""
 
     kind: str  #: "frame", "targets" ...
@@ -63,7 +63,7 @@ class _Nuisance(ABC):
         return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
 
 
-class _InstrumentFrame(_Nuisance):
+class _InstrumentFrame(NuisancePart):
     """Correction of the registration: a twist in base axes that moves everything."""
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
@@ -74,7 +74,7 @@ class _InstrumentFrame(_Nuisance):
 
 
 @dataclass(frozen=True, eq=False)
-class _PointOffsets(_Nuisance):
+class _PointOffsets(NuisancePart):
     """Corrections of the points on the tool: moving a target is equivalent to shifting the tool."""
 
     points: Array = field(kw_only=True)  #: in the tool's axes, shape=(points, 3) [m]
@@ -94,7 +94,7 @@ class _PointOffsets(_Nuisance):
 
 
 @dataclass(frozen=True, eq=False)
-class _SphereCentres(_Nuisance):
+class _SphereCentres(NuisancePart):
     """Corrections of the centres of touched spheres, relative to their fit by the machine as described.
 
     Moving a centre is equivalent to shifting the tool the other way.
@@ -120,7 +120,7 @@ class _SphereCentres(_Nuisance):
 
 
 @dataclass(frozen=True, eq=False)
-class _Drift(_Nuisance):
+class _Drift(NuisancePart):
     """Motion of the base and of the drives' zeros in proportion to time, from the first row to the last."""
 
     start: float = field(kw_only=True)  #: time of the first row [s]
@@ -134,7 +134,7 @@ class _Drift(_Nuisance):
         return np.concatenate([base, drives], axis=2) * parts[:, None, None]
 
 
-class _Hysteresis(_Nuisance):
+class _Hysteresis(NuisancePart):
     """Difference of each drive's position between approaches from below and from above."""
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
@@ -143,7 +143,7 @@ class _Hysteresis(_Nuisance):
         return np.asarray(0.5 * drives * measurements.approaches[:, None, :])
 
 
-class _EncoderZeros(_Nuisance):
+class _EncoderZeros(NuisancePart):
     """Zero of each encoder: its reading minus the joint's coordinate."""
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
@@ -153,7 +153,7 @@ class _EncoderZeros(_Nuisance):
 class Nuisances:
     """All nuisance parameters of some measurements, concatenated by kind. Immutable."""
 
-    def __init__(self, parts: Iterable[_Nuisance] = ()) -> None:
+    def __init__(self, parts: Iterable[NuisancePart] = ()) -> None:
         self.parts = tuple(parts)
         self.names = tuple(name for part in self.parts for name in part.names)
         self.units = tuple(unit for part in self.parts for unit in part.units)
@@ -163,7 +163,7 @@ class Nuisances:
     @classmethod
     def of(cls, measurements: Measurements, drive_units: tuple[str, ...]) -> Nuisances:
         """Return the nuisance parameters that measurements imply; drives have units "m" or "rad" each."""
-        parts: list[_Nuisance] = []
+        parts: list[NuisancePart] = []
         drives = {f"u{k}": unit for k, unit in enumerate(drive_units, start=1)}
         if measurements.registration is not None:
             parts.append(_InstrumentFrame("frame", *_named("frame", _TWIST, _FRAME_SCALE), _FRAME_SIGMA))

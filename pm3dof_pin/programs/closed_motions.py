@@ -16,7 +16,7 @@ from pm3dof_pin.typing import Objects
 
 
 @dataclass(frozen=True, eq=False)
-class _ClosedMotions:
+class ClosedMotions:
     """Velocities that keep the loops closed; those of prismatic joints are in units of length."""
 
     #: velocities of all joints at unit rate of each driven one, if the rates satisfy the relations, shape=(nv, k)
@@ -27,7 +27,7 @@ class _ClosedMotions:
 
 def closed_motions(
     tree: Tree, driven: Sequence[int], passive: Sequence[int], unit: float, doubt: Doubt
-) -> _ClosedMotions:
+) -> ClosedMotions:
     """Record the motions of a mechanism, by a unit of length [m]; joints neither driven nor passive are locked."""
     rows = constraint_rows(tree, unit)
     count, nv = len(passive), rows.shape[1]
@@ -44,7 +44,7 @@ def closed_motions(
     if rank(relations) < len(relations):
         relations = eliminate(relations, range(len(driven)), doubt).pivot_rows
     idle = len(result.dropped)
-    return _ClosedMotions(motions[:, idle:], motions[:, :idle], relations)
+    return ClosedMotions(motions[:, idle:], motions[:, :idle], relations)
 
 
 def constraint_rows(tree: Tree, unit: float) -> Objects:

@@ -57,14 +57,16 @@ class Screw:
         return objects(self.linear + cross(self.angular, point - self.point))
 
 
-class _Joint(Protocol):
+class Joint(Protocol):
     """A simple joint, with `nq` entries of q and `nv` of v."""
 
     @property
-    def nq(self) -> int: ...
+    def nq(self) -> int:
+        """Number of its entries of q."""
 
     @property
-    def nv(self) -> int: ...
+    def nv(self) -> int:
+        """Number of its entries of v."""
 
     def displacement(self, q: Objects) -> Placement:
         """Return the placement of the moving body relative to the fixed one."""
@@ -220,7 +222,7 @@ class ChainJoint:
     """A simple joint, fixed at a placement, in the chain of a Pinocchio joint; indices are the first ones."""
 
     placement: Placement
-    joint: _Joint
+    joint: Joint
     q_index: int
     v_index: int
 
@@ -248,7 +250,7 @@ def _links(name: str, model_joint: Any, first: Placement, geometry: Geometry) ->
         q_index, v_index = q_index + joint.nq, v_index + joint.nv
 
 
-def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[_Joint]:
+def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[Joint]:
     x, y, z = (objects(_AXES[letter]) for letter in "XYZ")
     if len(kind) == 2 and kind[0] in "RP" and kind[1] in _AXES:
         axis = objects(_AXES[kind[1]])

@@ -42,7 +42,7 @@ _MOST_VERTICES = 10_000
 
 
 @dataclass(frozen=True)
-class _Part:
+class BodyPart:
     """One drawn object of a body; its placement and box corners, shape=(8, 3) [m], are in the body frame."""
 
     name: str
@@ -59,7 +59,7 @@ class Body:
     name: str
     joint: int
     placement: Array
-    parts: list[_Part] = field(default_factory=list)
+    parts: list[BodyPart] = field(default_factory=list)
 
     @property
     def path(self) -> str:
@@ -147,7 +147,7 @@ def _drawn_bodies(mechanism: Mechanism, visuals: list[Visual]) -> tuple[Body, ..
     return tuple(bodies.values())
 
 
-def _part(shape: Shape, placement: Array) -> list[_Part]:
+def _part(shape: Shape, placement: Array) -> list[BodyPart]:
     """Return a box, cylinder, sphere, ellipsoid or capsule."""
     turn, sizes = np.eye(4), shape.sizes
     match shape.kind:
@@ -171,7 +171,7 @@ def _part(shape: Shape, placement: Array) -> list[_Part]:
             assert_never(shape.kind)
     colour = _colour(shape.colour or _GREY)
     return [
-        _Part(
+        BodyPart(
             f"{_name(shape)}_{number}" if number else _name(shape),
             objects.mesh(lowered, colour[:3], opacity=colour[3]),
             placement @ turn,
@@ -182,7 +182,7 @@ def _part(shape: Shape, placement: Array) -> list[_Part]:
     ]
 
 
-def _mesh_parts(visual: Visual, placement: Array) -> list[_Part]:
+def _mesh_parts(visual: Visual, placement: Array) -> list[BodyPart]:
     """Return the meshes of a file, in their own colours unless the description gives one."""
     shape, parts = visual.shape, []
     assert visual.path is not None
@@ -192,7 +192,7 @@ def _mesh_parts(visual: Visual, placement: Array) -> list[_Part]:
         vertices, faces = _coarsened(vertices, mesh.faces)
         body = objects.mesh(objects.triangles(vertices, faces), colour[:3], opacity=colour[3])
         box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
-        parts.append(_Part(f"{_name(shape)}_{number}", body, placement, colour, _corners(box, placement)))
+        parts.append(BodyPart(f"{_name(shape)}_{number}", body, placement, colour, _corners(box, placement)))
     return parts
 
 
@@ -260,17 +260,17 @@ def _stick_figure(mechanism: Mechanism) -> tuple[Body, ...]:
     return tuple(body for body in bodies if body.parts)
 
 
-def _rod(name: str, end: Array, size: float, *, is_base: bool) -> list[_Part]:
+def _rod(name: str, end: Array, size: float, *, is_base: bool) -> list[BodyPart]:
     length = float(np.linalg.norm(end))
     if length < 1e-6 * size:
         return []
     turn = objects.transform(objects.turn_z_to(end), 0.5 * end)
     colour, radius = (_PASSIVE_COLOUR, 0.008) if is_base else (_STICK_COLOUR, 0.02)
     lowered = objects.mesh(objects.cylinder(radius * size, length), colour)
-    return [_Part(name, lowered, turn @ objects.Y_TO_Z, (*colour, 1.0), np.stack([np.zeros(3), end]))]
+    return [BodyPart(name, lowered, turn @ objects.Y_TO_Z, (*colour, 1.0), np.stack([np.zeros(3), end]))]
 
 
-def _ball(name: str, middle: Array, radius: float, colour: Colour) -> _Part:
+def _ball(name: str, middle: Array, radius: float, colour: Colour) -> BodyPart:
     lowered = objects.mesh(objects.sphere(radius), colour)
     corners = middle + radius * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
-    return _Part(name, lowered, objects.transform(translation=middle), (*colour, 1.0), corners)
+    return BodyPart(name, lowered, objects.transform(translation=middle), (*colour, 1.0), corners)

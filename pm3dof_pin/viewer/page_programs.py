@@ -39,7 +39,7 @@ _MOST_OPERATIONS = 12_000  # of a program with errors; a longer one would domina
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _PageProgram:
+class PageProgram:
     """A program with parameter values."""
 
     program: Program
@@ -88,7 +88,7 @@ class PagePrograms:
         return [{"index": self.robot.single_joint(at.joint).q_index, "at_zero": at.at_zero} for at in lengths]
 
     @cached_property
-    def compliance(self) -> _PageProgram | None:
+    def compliance(self) -> PageProgram | None:
         """C at the tool, shape=(6, 6), then 1 if nothing is in doubt, else 0."""
         robot = self.robot
         if self._model is None or robot.tool_frame is None:
@@ -98,10 +98,10 @@ class PagePrograms:
         except ProgramError as error:
             _logger.info("no compliance in the page: %s", error)
             return None
-        return _PageProgram(found.compiled.program, found.parameters)
+        return PageProgram(found.compiled.program, found.parameters)
 
     @cached_property
-    def holding(self) -> _PageProgram | None:
+    def holding(self) -> PageProgram | None:
         """Forces of the actuators, then the least pivot."""
         try:
             program = holding_program(self.robot, self._samples)
@@ -109,10 +109,10 @@ class PagePrograms:
             _logger.info("no holding forces in the page: %s", error)
             return None
         numbers = masses.mass_numbers(self.robot.model)
-        return _PageProgram(program, geometry.values(self.robot, program.parameters, numbers))
+        return PageProgram(program, geometry.values(self.robot, program.parameters, numbers))
 
     @property
-    def motion(self) -> _PageProgram | None:
+    def motion(self) -> PageProgram | None:
         """Twists of the tool for one unit of each error, then of each drive, then 1 if nothing is in doubt, else 0."""
         return self._motion_and_sigmas[0]
 
@@ -122,7 +122,7 @@ class PagePrograms:
         return self._motion_and_sigmas[1]
 
     @cached_property
-    def _motion_and_sigmas(self) -> tuple[_PageProgram | None, Vector]:
+    def _motion_and_sigmas(self) -> tuple[PageProgram | None, Vector]:
         robot = self.robot
         for errors in self._error_parameters() if robot.tool_frame is not None else ():
             try:
@@ -131,7 +131,7 @@ class PagePrograms:
                 _logger.info("no motions of the tool by %d errors in the page: %s", len(errors), error)
                 continue
             if not len(errors) or len(program) <= _MOST_OPERATIONS:
-                return _PageProgram(dataclasses.replace(program, name="motion"), parameters), errors.tolerances
+                return PageProgram(dataclasses.replace(program, name="motion"), parameters), errors.tolerances
         return None, np.empty(0)
 
     def _error_parameters(self) -> Iterator[GeometricErrors]:
@@ -174,7 +174,7 @@ class PagePrograms:
         starts = tuple(f"spring/{spring}/U" for spring in names)
         return [k for k, name in enumerate(self.compliance.program.parameters) if name.startswith(starts)]
 
-    def _place(self) -> _PageProgram:
+    def _place(self) -> PageProgram:
         robot = self.robot
         graph = Graph()
         tree = Tree(graph, robot, self._samples)
@@ -185,7 +185,7 @@ class PagePrograms:
         swings = [swing(tree, k) for k, loop in enumerate(robot.closures) if loop.swing_limit is not None]
         outputs: dict[str, Any] = {"placements": rows, "residual": closure_residual(tree), "swings": swings}
         program = graph.program("place", outputs)
-        return _PageProgram(program, geometry.values(robot, program.parameters))
+        return PageProgram(program, geometry.values(robot, program.parameters))
 
 
 def declared_errors(robot: Robot) -> GeometricErrors:

@@ -29,7 +29,7 @@ _RING_POINTS = 120  # of each
 
 
 @dataclass(frozen=True)
-class _Shell:
+class Shell:
     """A closed triangle surface around the reachable set, and points inside, with quantities at all of them."""
 
     vertices: Array
@@ -84,7 +84,7 @@ def _tool_tips(poses: Poses, length: float) -> Array:
     return np.asarray(poses.positions + length * poses.rotations[..., 2])
 
 
-def workspace_shell(robot: Robot, quantity: str, *, tool_length: float, cells: int = 29, inside: int = 17) -> _Shell:
+def workspace_shell(robot: Robot, quantity: str, *, tool_length: float, cells: int = 29, inside: int = 17) -> Shell:
     """Return the boundary of the points that a tool's tip reaches, and points inside, with quantities at all of them.
 
     Three coordinates vary, see :func:`~pm3dof_pin.maps.limit_space.robot_space`, on a grid of so many cells along each;
@@ -118,7 +118,7 @@ def workspace_shell(robot: Robot, quantity: str, *, tool_length: float, cells: i
     if np.einsum("ni,ni->", a, np.cross(b, c)) < 0.0:  # the tip's position mirrors the coordinates
         faces = faces[:, ::-1]
     rings = _tool_tips(robot.solve(complete(_rings(found))), tool_length)
-    return _Shell(tips, faces, rings, _tool_tips(within, tool_length), layers)
+    return Shell(tips, faces, rings, _tool_tips(within, tool_length), layers)
 
 
 def _inner_poses(robot: Robot, boundary: Array, names: tuple[str, ...], count: int) -> Poses:

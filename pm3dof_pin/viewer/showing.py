@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class _NotebookCell:
+class NotebookCell:
     """A page in an iframe: its attribute `src` or `srcdoc`, and its height [pixels]."""
 
     source: str
@@ -134,14 +134,14 @@ class ShownScene:
             frames[0].save(temporary, format="GIF", save_all=True, append_images=frames[1:], duration=pace, loop=0)
         return target
 
-    def jupyter_cell(self, height: int = 600, *, static: bool = False) -> _NotebookCell:
+    def jupyter_cell(self, height: int = 600, *, static: bool = False) -> NotebookCell:
         """Return the scene for the last line of a notebook cell, as a frame of a height [pixels].
 
         The served scene follows later drawing; a static copy also works if the browser is on another machine.
         """
         if static:
-            return _NotebookCell(f'srcdoc="{escape(self.html())}"', height)
-        return _NotebookCell(f'src="{escape(self.start())}"', height)
+            return NotebookCell(f'srcdoc="{escape(self.html())}"', height)
+        return NotebookCell(f'src="{escape(self.start())}"', height)
 
     def set_title(self, title: str, subtitle: str = "") -> None:
         """Set the heading of the panel; by default the name of the mechanism."""

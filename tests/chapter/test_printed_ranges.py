@@ -7,16 +7,16 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
-from pm3dof_pin.maps.chapter_workspace import _RangeStatement, compare_printed_ranges
+from pm3dof_pin.maps.chapter_workspace import RangeStatement, compare_printed_ranges
 from pm3dof_pin.maps.workspace import Workspace
 
 
 @pytest.fixture(scope="module")
-def statements(tripod: Tripod, tripod_workspace: Workspace) -> dict[str, _RangeStatement]:
+def statements(tripod: Tripod, tripod_workspace: Workspace) -> dict[str, RangeStatement]:
     return {statement.subject: statement for statement in compare_printed_ranges(tripod, tripod_workspace)}
 
 
-def test_heights(statements: dict[str, _RangeStatement]) -> None:
+def test_heights(statements: dict[str, RangeStatement]) -> None:
     statement = statements["z_e"]
     assert statement.printed == (0.440, 0.608)
     assert statement.computed == pytest.approx((0.3972, 0.5775), abs=5e-5)
@@ -24,7 +24,7 @@ def test_heights(statements: dict[str, _RangeStatement]) -> None:
     assert "0.3972 to 0.5775 m, printed 0.440 to 0.608 m" in statement.text
 
 
-def test_slider_travel_at_the_printed_heights(statements: dict[str, _RangeStatement]) -> None:
+def test_slider_travel_at_the_printed_heights(statements: dict[str, RangeStatement]) -> None:
     statement = statements["slider_travel"]
     assert statement.printed == pytest.approx((0.155272, 0.325272))
     for u, z_e in zip(statement.computed, (0.440, 0.608), strict=True):
@@ -34,7 +34,7 @@ def test_slider_travel_at_the_printed_heights(statements: dict[str, _RangeStatem
     assert statement.computed[1] > statement.printed[1] + 0.03
 
 
-def test_tilts(statements: dict[str, _RangeStatement], tripod_workspace: Workspace) -> None:
+def test_tilts(statements: dict[str, RangeStatement], tripod_workspace: Workspace) -> None:
     for axis, name in enumerate(("theta_x", "theta_y")):
         statement = statements[name]
         assert statement.printed == pytest.approx(np.radians([-40.0, 40.0]))
@@ -44,7 +44,7 @@ def test_tilts(statements: dict[str, _RangeStatement], tripod_workspace: Workspa
     assert "runs from -40.5 deg" in statements["theta_x"].text
 
 
-def test_box(tripod: Tripod, statements: dict[str, _RangeStatement]) -> None:
+def test_box(tripod: Tripod, statements: dict[str, RangeStatement]) -> None:
     filled, inside = statements["box"].computed
     generator = np.random.default_rng(9)
     tilt = np.radians(40.0)
@@ -56,7 +56,7 @@ def test_box(tripod: Tripod, statements: dict[str, _RangeStatement]) -> None:
     assert inside == pytest.approx(np.mean(in_box), abs=5e-3)
 
 
-def test_binding_limits(statements: dict[str, _RangeStatement]) -> None:
+def test_binding_limits(statements: dict[str, RangeStatement]) -> None:
     shares = dict(zip(LIMIT_NAMES, statements["binding_limits"].computed, strict=True))
     assert {limit for limit, share in shares.items() if share} == {"stroke", "spherical"}
     assert statements["binding_limits"].text.endswith("never: reach, universal, tilt, height")

@@ -16,13 +16,13 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.viewer.layers import Layer, ScalarQuantity
-from pm3dof_pin.viewer.shell import _Shell, _tool_tips, workspace_shell
+from pm3dof_pin.viewer.shell import Shell, _tool_tips, workspace_shell
 
 LENGTH = 0.2
 
 
 @pytest.fixture(scope="module")
-def shell(mechanism: Robot) -> _Shell:
+def shell(mechanism: Robot) -> Shell:
     return workspace_shell(mechanism, "felt_stiffness:z", tool_length=LENGTH, cells=16)
 
 
@@ -41,7 +41,7 @@ def test_tips_are_on_the_platforms_normal(mechanism: Robot) -> None:
     np.testing.assert_allclose(poses_of(tips), coordinates, atol=1e-11)
 
 
-def test_the_surface_is_closed_and_faces_outwards(shell: _Shell) -> None:
+def test_the_surface_is_closed_and_faces_outwards(shell: Shell) -> None:
     edges = Counter((int(face[k]), int(face[(k + 1) % 3])) for face in shell.faces for k in range(3))
     assert set(edges.values()) == {1}
     assert all((end, start) in edges for start, end in edges)
@@ -50,7 +50,7 @@ def test_the_surface_is_closed_and_faces_outwards(shell: _Shell) -> None:
     assert np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0 > 0.0  # volume by the divergence theorem
 
 
-def test_its_points_are_the_boundary(shell: _Shell, tripod: Tripod) -> None:
+def test_its_points_are_the_boundary(shell: Shell, tripod: Tripod) -> None:
     """A step towards the middle stays within all limits, one away breaks one; but for corners that are cut."""
     poses, middle = poses_of(shell.vertices), np.array([0.0, 0.0, 0.49])
     inside, outside = middle + 0.99 * (poses - middle), middle + 1.01 * (poses - middle)
@@ -59,7 +59,7 @@ def test_its_points_are_the_boundary(shell: _Shell, tripod: Tripod) -> None:
     assert np.mean(limit_flags(tripod, outside) != 0) > 0.98  # of flat faces that lie along the step
 
 
-def test_its_values_are_the_stiffness_there(shell: _Shell, tripod: Tripod) -> None:
+def test_its_values_are_the_stiffness_there(shell: Shell, tripod: Tripod) -> None:
     stiffness = elastic_stiffness(tripod, poses_of(shell.vertices))
     felt = 1.0 / np.linalg.inv(stiffness)[:, 2, 2]
     layer = shell.layers[0]
@@ -70,7 +70,7 @@ def test_its_values_are_the_stiffness_there(shell: _Shell, tripod: Tripod) -> No
     assert np.all(np.diff(layer.places[np.argsort(layer.values)]) >= 0.0)
 
 
-def test_points_inside_are_within_the_limits(shell: _Shell, tripod: Tripod) -> None:
+def test_points_inside_are_within_the_limits(shell: Shell, tripod: Tripod) -> None:
     """Points have the values of their own poses, in every layer that the page offers."""
     assert len(shell.points) > 500
     poses = poses_of(shell.points)
