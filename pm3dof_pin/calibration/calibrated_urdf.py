@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,6 +13,8 @@ import pinocchio as pin
 import yaml
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.description.robots import CLOSURES_SUFFIX
+from pm3dof_pin.description.urdf_files import urdf_files
 from pm3dof_pin.description.xml_file import comment_text, read_xml
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.elastic.tool_deflection import stiffened_entries
@@ -21,7 +24,6 @@ from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.mechanism.as_urdf import as_urdf
 
 logger = logging.getLogger(__name__)
 
@@ -63,16 +65,20 @@ def write_calibrated_robot(
         DescriptionError: see :func:`calibrated_urdf`, or the robot was not read from files.
         OutputError: a file cannot be written.
     """
-    files, folder = as_urdf(errors.robot), Path(directory)
-    target = write_text_atomically(folder / files.urdf.name, calibrated_urdf(errors, values, files.urdf))
-    for source in filter(None, (files.closures, files.srdf, files.errors if files.errors.is_file() else None)):
-        write_text_atomically(folder / source.name, source.read_text(encoding="utf-8"))
-    if stiffness and files.closures is not None:
-        closures = read_mapping(files.closures)
-        closures["springs"] = stiffened_entries(closures.get("springs", ()), stiffness)
-        write_text_atomically(folder / files.closures.name, yaml.safe_dump(closures, sort_keys=False, width=120))
-    if files.srdf is not None:
-        write_text_atomically(folder / files.srdf.name, _closed_again(files.srdf, Robot.load(target)))
+    robot, folder = errors.robot, Path(directory)
+    own = {name: getattr(robot, name) for name in ("actuated_joints", "commands", "springs", "tool_frame")}
+    name = robot.name if robot.files is None else robot.files.name
+    texts = urdf_files(replace(robot.description, **own))
+    paths = {suffix: write_text_atomically(folder / f"{name}{suffix}", text) for suffix, text in texts.items()}
+    target, closures, srdf = (paths.get(suffix) for suffix in (".urdf", CLOSURES_SUFFIX, ".srdf"))
+    assert target is not None
+    write_text_atomically(target, calibrated_urdf(errors, values, target))
+    if stiffness and closures is not None:
+        entries = read_mapping(closures)
+        entries["springs"] = stiffened_entries(entries.get("springs", ()), stiffness)
+        write_text_atomically(closures, yaml.safe_dump(entries, sort_keys=False, width=120))
+    if srdf is not None:
+        write_text_atomically(srdf, _closed_again(srdf, Robot.load(target)))
     return target
 
 

@@ -222,6 +222,13 @@ class Joint:
         """Number of degrees of freedom."""
         return {"fixed": 0, "spherical": 3, "planar": 3, "floating": 6}.get(self.type, 1)
 
+    def motion(self, coordinate: float) -> pin.SE3:
+        """Return the motion of a single-DoF joint by a coordinate [m, rad], in the joint frame."""
+        axis = np.array(self.axis) / np.linalg.norm(self.axis)
+        if self.type == "prismatic":
+            return pin.SE3(np.eye(3), coordinate * axis)
+        return pin.SE3(pin.AngleAxis(coordinate, axis).toRotationMatrix(), self.pitch * coordinate * axis)
+
     @property
     def nq(self) -> int:
         """Number of coordinates: a continuous joint has cosine and sine, others may have a quaternion."""

@@ -91,4 +91,4 @@ def export_robot(
 
 
 def _is_ours(robot: RobotDocument) -> bool:
-    return robot.files.urdf.resolve().is_relative_to(robots_directory().resolve())
+    return robot.files.path.resolve().is_relative_to(robots_directory().resolve())

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import yaml
 
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX
+from pm3dof_pin.description.urdf_files import urdf_files
 from pm3dof_pin.export.robot_document import RobotDocument
 from pm3dof_pin.export.xml_text import document_text
 
@@ -15,13 +16,8 @@ _BANNER = "The URDF of {}, its meshes where `pm3dof export` puts them. Generated
 
 def description_texts(robot: RobotDocument, mesh_prefix: str = "") -> dict[str, str]:
     """Return URDF, closures file, error file and SRDF, by name; names of meshes begin with a prefix."""
-    files = {
-        CLOSURES_SUFFIX: robot.files.closures,
-        ".errors.yaml": robot.files.errors if robot.files.errors.is_file() else None,
-        ".srdf": robot.files.srdf,
-    }
-    texts = {suffix: path.read_text(encoding="utf-8") for suffix, path in files.items() if path is not None}
-    texts = {".urdf": urdf_text(robot, mesh_prefix)} | texts
+    texts = urdf_files(robot.described, floating=False, own_meshes=True)
+    texts[".urdf"] = _with_meshes(robot, texts[".urdf"], mesh_prefix)
     if (tool_frame := robot.mechanism.tool_frame) is not None:
         texts[CLOSURES_SUFFIX] = _with_tool_frame(robot, texts.get(CLOSURES_SUFFIX), tool_frame)
     return {robot.file_name + suffix: text for suffix, text in texts.items()}
@@ -38,16 +34,23 @@ def _with_tool_frame(robot: RobotDocument, closures: str | None, tool_frame: str
 
 
 def urdf_text(robot: RobotDocument, mesh_prefix: str = "") -> str:
-    """Return the URDF of a robot, verbatim if it has no meshes; their names get a prefix, such as `package://x/`."""
-    text = robot.files.urdf.read_text(encoding="utf-8")
+    """Return the URDF of a robot, verbatim if it is one without meshes; their names get a prefix, as `package://x/`."""
+    return _with_meshes(robot, urdf_files(robot.described, floating=False, own_meshes=True)[".urdf"], mesh_prefix)
+
+
+def _with_meshes(robot: RobotDocument, text: str, mesh_prefix: str) -> str:
     if "<mesh" not in text:
         return text
-    return document_text(urdf_element(robot, mesh_prefix), _BANNER.format(robot.name))
+    return document_text(_element(robot, text, mesh_prefix), _BANNER.format(robot.name))
 
 
 def urdf_element(robot: RobotDocument, mesh_prefix: str = "") -> ElementTree.Element:
     """Return a robot's URDF with its meshes named as in the export, and without limits that stand for none."""
-    root = ElementTree.parse(robot.files.urdf).getroot()
+    return _element(robot, urdf_files(robot.described, floating=False, own_meshes=True)[".urdf"], mesh_prefix)
+
+
+def _element(robot: RobotDocument, text: str, mesh_prefix: str) -> ElementTree.Element:
+    root = ElementTree.fromstring(text)
     for link in root.findall("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
             if (mesh := shape.find("geometry/mesh")) is None:

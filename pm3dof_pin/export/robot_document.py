@@ -15,21 +15,25 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.couplings import Coupling
-from pm3dof_pin.description.description import IDENTITY, Body, Description, Inertial, Joint, Shape
-from pm3dof_pin.description.reading import read_description
+from pm3dof_pin.description.description import Body, Description, Joint, Shape
 from pm3dof_pin.description.robots import RobotFiles
+from pm3dof_pin.description.simple_joints import (
+    NEGLIGIBLE,
+    NEGLIGIBLE_MASS,
+    NEGLIGIBLE_MOMENT,
+    with_frames_as_bodies,
+    with_simple_joints,
+)
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.meshes import Meshes
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.robot import LoadOptions, Robot
-from pm3dof_pin.mechanism.as_urdf import NEGLIGIBLE_MASS, NEGLIGIBLE_MOMENT, as_urdf
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Vector
 
 WORLD = "world"
 """In MuJoCo, SDFormat and Drake, a root link of this name is the world itself."""
 
-_NEGLIGIBLE = Inertial(NEGLIGIBLE_MASS, IDENTITY, (*[NEGLIGIBLE_MOMENT] * 3, 0.0, 0.0, 0.0))
 _logger = logging.getLogger(__name__)
 
 
@@ -40,6 +44,7 @@ class RobotDocument:
     files: RobotFiles
     #: bodies on fixed, revolute, continuous and prismatic joints; its frames are bodies too
     description: Description
+    described: Description  #: as it was read
     mechanism: Robot
     meshes: Meshes
 
@@ -167,7 +172,7 @@ class RobotDocument:
             carries = any(not below.is_fixed for body in rigid for below in description.joints_below[body.name])
             if not carries and closed.isdisjoint(body.name for body in rigid):
                 raise DescriptionError(
-                    self.files.urdf,
+                    self.files.path,
                     f"link '{joint.child}'",
                     f"expected mass and inertia, which {tool} requires of all moving links",
                 )
@@ -178,7 +183,7 @@ class RobotDocument:
             "%s: %s kg and %s kg m^2 are assigned to the massless links %s: %s requires mass of all moving links",
             *(self.name, NEGLIGIBLE_MASS, NEGLIGIBLE_MOMENT, ", ".join(lightened), tool),
         )
-        bodies = [replace(b, inertial=_NEGLIGIBLE) if b.name in lightened else b for b in description.bodies]
+        bodies = [replace(b, inertial=NEGLIGIBLE) if b.name in lightened else b for b in description.bodies]
         return replace(self, description=replace(description, bodies=tuple(bodies)))
 
     def with_meshes_of(self, kinds: Collection[str]) -> RobotDocument:
@@ -208,44 +213,24 @@ def read_robot(
         FrameNotFoundError: the closures file names a frame that the URDF does not have.
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
     """
-    robot = mechanism = Robot.load(name_or_path, **options)
-    files = as_urdf(mechanism, floating=False)
-    if files is not mechanism.files:
-        mechanism = Robot.load(files.urdf, tool_frame=options.get("tool_frame"))
-    description = _with_frames_as_bodies(_with_dynamics_of(read_description(files), robot))
+    robot = Robot.load(name_or_path, **options)
+    if robot.files is None:
+        raise DescriptionError(robot.source, "files", "expected a robot that was read from files")
+    own = {name: getattr(robot, name) for name in ("actuated_joints", "commands", "springs", "tool_frame")}
+    described = replace(robot.description, **own)
+    simple = with_simple_joints(described, floating=False)
+    mechanism = robot if simple is described else Robot.load(simple)
+    description = with_frames_as_bodies(simple)
+    joints = {j.name: replace(j, velocity=j.velocity or None) for j in description.joints}  # 0 stands for unknown
+    description = description.with_joints(joints)
+    if description.dialect == "urdf":
+        drives = tuple(replace(drive, name=drive.joint) for drive in description.drives)
+        description = replace(description, drives=drives)
     if not meshes:
         description = replace(description, bodies=tuple(map(_without_meshes, description.bodies)))
     shapes = [shape for body in description.bodies for shape in (*body.visuals, *body.collisions)]
-    found = Meshes.of_urdf(files, [shape.mesh for shape in shapes if shape.kind == "mesh"])
-    return RobotDocument(files, description, mechanism, found)
-
-
-def _with_dynamics_of(description: Description, robot: Robot) -> Description:
-    """Return a description with the drives and joint constants of the one that it was made from.
-
-    Drives of a URDF are named after their joints; its greatest speeds of 0 stand for unknown ones.
-    """
-    description = description.with_joints({j.name: replace(j, velocity=j.velocity or None) for j in description.joints})
-    if (original := robot.description) is None or original.dialect == "urdf":
-        return replace(description, drives=tuple(replace(drive, name=drive.joint) for drive in description.drives))
-    kept = original.joint_by_name
-    names = ("armature", "stiffness", "rest")
-    joints = {
-        joint.name: replace(joint, **{name: getattr(kept[joint.name], name) for name in names})
-        for joint in description.joints
-        if joint.name in kept and kept[joint.name].is_single
-    }
-    return replace(description.with_joints(joints), drives=original.drives)
-
-
-def _with_frames_as_bodies(description: Description) -> Description:
-    """Return a description whose named frames are massless bodies on fixed joints."""
-    bodies = tuple(Body(frame.name, origin=frame.origin) for frame in description.frames)
-    joints = tuple(
-        Joint(f"{frame.name}_fixed", "fixed", frame.body, frame.name, frame.placement, origin=frame.origin)
-        for frame in description.frames
-    )
-    return replace(description, bodies=description.bodies + bodies, joints=description.joints + joints, frames=())
+    found = Meshes.of_urdf(robot.files, [shape.mesh for shape in shapes if shape.kind == "mesh"])
+    return RobotDocument(robot.files, description, described, mechanism, found)
 
 
 def _without_meshes(body: Body) -> Body:

@@ -80,7 +80,7 @@ class _Builder:
             inner = placed if joint.child_placement.is_identity else placed * inner
         else:
             if joint.zero:
-                placed = placed * _moved(joint, -joint.zero)
+                placed = placed * joint.motion(-joint.zero)
             carrier = model.addJoint(carrier, joint_model(joint), placed, joint.name)
             frame = model.addJointFrame(carrier, frame)
             if inertia is not None:
@@ -125,14 +125,6 @@ def _unbounded(axis: Vector) -> pin.JointModel:
     ends = f'<parent link="a"/><child link="b"/><axis xyz="{xyz}"/>'
     joint = f'<link name="a"/><link name="b"/><joint name="j" type="continuous">{ends}</joint>'
     return pin.buildModelFromXML(f'<robot name="r">{joint}</robot>').joints[1]
-
-
-def _moved(joint: Joint, coordinate: float) -> pin.SE3:
-    """Return the motion of a single-DoF joint."""
-    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-    if joint.type == "prismatic":
-        return pin.SE3(np.eye(3), coordinate * axis)
-    return pin.SE3(pin.AngleAxis(coordinate, axis).toRotationMatrix(), joint.pitch * coordinate * axis)
 
 
 def _set_constants(description: Description, model: pin.Model) -> None:

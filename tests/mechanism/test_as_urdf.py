@@ -9,10 +9,10 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.description.simple_joints import NEGLIGIBLE_MASS
+from pm3dof_pin.description.urdf_files import is_plain_urdf, urdf_files
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.mechanism.as_urdf import NEGLIGIBLE_MASS, as_urdf
 
 MJCF = """<mujoco model="leg"><compiler angle="radian"/><worldbody>
 <site name="wall" pos="1.2 0.3 1.15" euler="0.1 0.2 0.3"/>
@@ -35,6 +35,15 @@ def leg(tmp_path: Path) -> Robot:
     return Robot.load(tmp_path / "leg.xml", tool_frame="tip")
 
 
+def written(robot: Robot, folder: Path, *, floating: bool = True) -> Path:
+    """Write a robot's files into a folder of their own, and return the URDF."""
+    folder = folder / "written"
+    folder.mkdir()
+    for suffix, text in urdf_files(robot.description, floating=floating).items():
+        (folder / f"{robot.name}{suffix}").write_text(text, encoding="utf-8")
+    return folder / f"{robot.name}.urdf"
+
+
 def _in_hinges(robot: Robot, q: np.ndarray, plain: Robot) -> np.ndarray:
     """The same configuration with revolute joints instead of the ball joint."""
     x, y, z = Rotation.from_quat(q[1:5]).as_euler("XYZ")
@@ -43,8 +52,8 @@ def _in_hinges(robot: Robot, q: np.ndarray, plain: Robot) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_frames_and_inertias_are_the_same(leg: Robot, seed: int) -> None:
-    plain = Robot.load(as_urdf(leg).urdf)
+def test_frames_and_inertias_are_the_same(leg: Robot, tmp_path: Path, seed: int) -> None:
+    plain = Robot.load(written(leg, tmp_path))
     generator = np.random.default_rng(seed)
     q = pin.integrate(leg.model, pin.neutral(leg.model), generator.uniform(-1.0, 1.0, leg.model.nv))
     in_hinges = _in_hinges(leg, q, plain)
@@ -61,9 +70,8 @@ def test_frames_and_inertias_are_the_same(leg: Robot, seed: int) -> None:
     assert energies[1] == pytest.approx(energies[0], abs=9.81 * 4.0 * NEGLIGIBLE_MASS)
 
 
-def test_what_is_beside_the_tree_is_the_same(leg: Robot) -> None:
-    files = as_urdf(leg)
-    plain = Robot.load(files.urdf)
+def test_what_is_beside_the_tree_is_the_same(leg: Robot, tmp_path: Path) -> None:
+    plain = Robot.load(written(leg, tmp_path))
     assert plain.name == "leg"
     assert (plain.closures, plain.commands, plain.tool_frame) == (leg.closures, leg.commands, "tip")
     assert [dict(spring) for spring in plain.springs] == [dict(spring) for spring in leg.springs]
@@ -78,7 +86,9 @@ def test_what_is_beside_the_tree_is_the_same(leg: Robot) -> None:
 
 
 def test_a_plain_urdf_stays_as_it_is(mechanism: Robot) -> None:
-    assert as_urdf(mechanism) is mechanism.files
+    assert is_plain_urdf(mechanism.description)
+    assert mechanism.files is not None
+    assert urdf_files(mechanism.description)[".urdf"] == mechanism.files.urdf.read_text(encoding="utf-8")
 
 
 def test_universal_joints_become_two_hinges(tmp_path: Path) -> None:
@@ -91,20 +101,24 @@ def test_universal_joints_become_two_hinges(tmp_path: Path) -> None:
     )
     (tmp_path / "robot.yaml").write_text("joint_name: [knee]\njoint_type: [UJOINT_ZX]\nname_mot: [knee_Z]\n")
     robot = Robot.load(tmp_path)
-    files = as_urdf(robot)
-    assert files is not robot.files
-    plain = Robot.load(files.urdf)
+    assert not is_plain_urdf(robot.description)
+    urdf = written(robot, tmp_path)
+    plain = Robot.load(urdf)
     assert plain.q_names == ("knee_Z", "knee_X")
     assert plain.actuated_joints == ("knee_Z",)
     q = [0.3, -0.7]
     expected = robot.configuration(q).frame_placement("b").homogeneous
     np.testing.assert_allclose(plain.configuration(q).frame_placement("b").homogeneous, expected, atol=1e-15)
-    assert "<sphere" in files.urdf.read_text()
+    assert "<sphere" in urdf.read_text()
 
 
-def test_a_mechanism_made_by_hand_has_no_files() -> None:
-    with pytest.raises(DescriptionError, match="expected a mechanism that was read from files"):
-        as_urdf(Robot(pin.buildSampleModelManipulator()))
+def test_a_mechanism_made_by_hand_is_written(tmp_path: Path) -> None:
+    robot = Robot(pin.buildSampleModelManipulator(), tool_frame="effector_body")
+    plain = Robot.load(written(robot, tmp_path), tool_frame="effector_body")
+    q = pin.integrate(robot.model, pin.neutral(robot.model), np.full(robot.model.nv, 0.3))
+    values = {name: robot.single_joint(name).coordinate(q) for name in plain.q_names if name in robot.q_names}
+    assert values, "the elbow and wrists are hinges there too"
+    assert plain.home.tool_placement.translation == pytest.approx(robot.home.tool_placement.translation, abs=1e-12)
 
 
 def test_a_planar_joint_as_slides_and_a_hinge(tmp_path: Path) -> None:
@@ -122,7 +136,7 @@ def test_a_planar_joint_as_slides_and_a_hinge(tmp_path: Path) -> None:
         f'<robot name="cart"><group_state name="parked" group="all">{joints}</group_state></robot>'
     )
     robot = Robot.load(tmp_path / "cart.urdf", tool_frame="tip")
-    plain = Robot.load(as_urdf(robot, floating=False).urdf)
+    plain = Robot.load(written(robot, tmp_path, floating=False))
     assert list(plain.model.names)[1:] == ["drive", "drive_along_y", "drive_about_z", "arm"]
     found = plain.configuration(plain.named_configurations["parked"]).tool_placement.translation
     side, up = 0.3 * np.cos(turn), 0.2 + 0.3 * np.sin(turn) + 0.4 * np.cos(turn)  # the arm turns about the x axis
@@ -139,7 +153,7 @@ def test_a_free_joint_as_slides_and_hinges(tmp_path: Path) -> None:
         <keyframe><key name="thrown" qpos="1 2 3 0.5 0.5 -0.1 0.7 0.2"/></keyframe></mujoco>"""
     )
     robot = Robot.load(tmp_path / "box.xml")
-    plain = Robot.load(as_urdf(robot, floating=False).urdf)
+    plain = Robot.load(written(robot, tmp_path, floating=False))
     assert all(joint.nv == 1 for joint in list(plain.model.joints)[1:])
     for name in ("home", "thrown"):
         expected, found = (r.configuration(r.named_configurations[name]) for r in (robot, plain))

@@ -577,13 +577,7 @@ class _MjcfReader(ElementReader):
         """Return a joint that an equality holds at a coordinate as a fixed one."""
         if joint.name not in held:
             return joint
-        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-        travel = held[joint.name] - joint.zero
-        moved = (
-            pin.SE3(np.eye(3), travel * axis)
-            if joint.type == "prismatic"
-            else pin.SE3(pin.AngleAxis(travel, axis).toRotationMatrix(), np.zeros(3))
-        )
+        moved = joint.motion(held[joint.name] - joint.zero)
         return replace(joint, type="fixed", placement=Placement.from_se3(joint.placement.se3 * moved))
 
     def _require_single(self, name: str, where: str) -> Joint:
