@@ -20,12 +20,11 @@ from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry, masses
 from pm3dof_pin.programs.closed_motions import closed_motions
-from pm3dof_pin.programs.elimination import DROPPED, Doubt, product, samples
+from pm3dof_pin.programs.elimination import DROPPED, Doubt, product, projected, samples
 from pm3dof_pin.programs.graph import Graph, select, sqrt
 from pm3dof_pin.programs.loops import closed
 from pm3dof_pin.programs.masses import Masses
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.projection import projected
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects

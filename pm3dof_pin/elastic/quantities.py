@@ -20,9 +20,8 @@ from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.elastic.report import CartesianCompliance
 from pm3dof_pin.elastic.traced import Roots
 from pm3dof_pin.exceptions import RigidDirectionError
-from pm3dof_pin.programs.elimination import total, zeros
+from pm3dof_pin.programs.elimination import squared_singular_values, total, zeros
 from pm3dof_pin.programs.graph import is_zero, less, select, sqrt
-from pm3dof_pin.programs.singular_values import squared_singular_values
 from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Matrix, Objects, Vector
 

@@ -33,17 +33,20 @@ from pm3dof_pin.programs import cache, geometry, loops
 from pm3dof_pin.programs.elimination import (
     Doubt,
     Elimination,
+    compressed,
     eliminate,
     identity,
     product,
+    projected,
+    rank,
     solve_upper,
     total,
+    triangular,
     without_zeros,
     zeros,
 )
 from pm3dof_pin.programs.graph import Graph, Scalar, Truth, absolute, is_zero, select, sqrt
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.projection import compressed, projected, rank, triangular
 from pm3dof_pin.programs.tool_motion import Branch, Reading, branches, joint_columns, response, widened
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify

@@ -19,9 +19,8 @@ from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.kinematics.pose_values import BatchOptions, PoseValues, evaluate_at
 from pm3dof_pin.kinematics.robot import Poses
-from pm3dof_pin.programs.elimination import eliminate, total, zeros
+from pm3dof_pin.programs.elimination import eliminate, squared_singular_values, total, zeros
 from pm3dof_pin.programs.graph import Scalar, absolute, minimum, sqrt
-from pm3dof_pin.programs.singular_values import squared_singular_values
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects
 
 KinematicSum = Literal["tip_rms", "worst_tip", "left_rms", "energy"]

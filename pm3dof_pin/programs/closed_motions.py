@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, without_zeros, zeros
+from pm3dof_pin.programs.elimination import Doubt, eliminate, rank, solve_upper, without_zeros, zeros
 from pm3dof_pin.programs.graph import is_zero
 from pm3dof_pin.programs.loops import loop_equations
-from pm3dof_pin.programs.projection import rank
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
 

@@ -1,4 +1,4 @@
-"""Sparse orthogonal elimination on recorded numbers, with columns chosen while recording, and with doubt recorded.
+"""Orthogonal algorithms on recorded numbers: sparse elimination, projection, ranks, singular values.
 
 The rows of a system are NumPy arrays of dtype object; structural zeros stay zeros. The order of elimination is decided
 once for all poses, by the values at the sample poses: a column that is zero at all of them is dropped, and pivots are
@@ -25,6 +25,9 @@ _SHARE = 0.1  # of the best pivot's relative length; sufficient for a pivot that
 
 PIVOT = 1e-5
 """Smaller pivots leave a rank in doubt."""
+
+_SWEEPS = 6  # of rotations, for singular values
+_TINY = 1e-300
 
 DROPPED = 1e-9
 """Larger entries dropped as zero leave a rank in doubt."""
@@ -54,7 +57,7 @@ class Doubt:
 
 
 @dataclass(frozen=True)
-class Reflection:
+class _Reflection:
     """An orthogonal symmetric matrix 1 - v g^T on a few indices; or a rotation in a plane."""
 
     indices: tuple[int, ...]  #: the indices it acts on; the first is the pivot
@@ -88,7 +91,7 @@ class Elimination:
     pivot_rows: Objects  #: one row for each eliminated column, upper triangular in them, shape=(r, n)
     rest: Objects  #: the other rows, zero in all these columns, shape=(m - r, n)
     #: the orthogonal matrices applied to the rows, in order
-    reflections: tuple[Reflection, ...] = field(repr=False)
+    reflections: tuple[_Reflection, ...] = field(repr=False)
     rest_rows: tuple[int, ...]  #: which rows of the system became the rest
 
     def carry(self, columns: Objects) -> tuple[Objects, Objects]:
@@ -130,7 +133,7 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     done: list[int] = []
     dropped: list[int] = []
     pivots: list[int] = []
-    reflections: list[Reflection] = []
+    reflections: list[_Reflection] = []
     while waiting:
         fronts = {c: [i for i in active if not is_zero(rows[i][c])] for c in waiting}
         sizes = {}
@@ -148,7 +151,7 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
             break
         enough = _SHARE * max(sizes.values())
         chosen = min((c for c in waiting if sizes[c] >= enough), key=lambda c: (len(fronts[c]), -c))
-        reflection = reflect({i: rows[i][chosen] for i in fronts[chosen]})
+        reflection = _reflect({i: rows[i][chosen] for i in fronts[chosen]})
         indices = reflection.indices
         for c in range(system.shape[1]):
             column: dict[int, Scalar] = {i: rows[i][c] for i in indices}
@@ -175,21 +178,21 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     )
 
 
-def reflect(vector_entries: Mapping[int, Scalar]) -> Reflection:
+def _reflect(vector_entries: Mapping[int, Scalar]) -> _Reflection:
     """Return the matrix that maps a vector, given by its nonzero entries, to the index of the largest."""
     sizes = {k: typical(np.abs(samples(entry))) for k, entry in vector_entries.items()}
     indices = tuple(sorted(sizes, key=lambda k: -sizes[k]))
     entries = [vector_entries[k] for k in indices]
     if len(entries) == 1:
-        return Reflection(indices, (1.0,), None, entries[0], absolute(entries[0]))
+        return _Reflection(indices, (1.0,), None, entries[0], absolute(entries[0]))
     size = sqrt(total([entry * entry for entry in entries]))
     if len(entries) == 2:
         inverse = 1.0 / size
-        return Reflection(indices, (entries[0] * inverse, entries[1] * inverse), None, size, size)
+        return _Reflection(indices, (entries[0] * inverse, entries[1] * inverse), None, size, size)
     pivot = select(less(entries[0], 0.0), size, -size)
     vector = (entries[0] - pivot, *entries[1:])
     factor = -1.0 / (pivot * vector[0])
-    return Reflection(indices, vector, tuple(factor * v for v in vector), pivot, size)
+    return _Reflection(indices, vector, tuple(factor * v for v in vector), pivot, size)
 
 
 def solve_upper(triangle: Objects, right: Objects) -> Objects:
@@ -201,6 +204,108 @@ def solve_upper(triangle: Objects, right: Objects) -> Objects:
             terms = [triangle[i, j] * solution[j, c] for j in range(i + 1, len(triangle))]
             solution[i, c] = (right[i, c] - total(terms)) * inverse
     return solution
+
+
+def projected(relations: Objects, rows: Objects, doubt: Doubt, *, restored: bool = False) -> Objects:
+    """Return the part of rows orthogonal to independent relations, shape=(m, n - k); (m, n) if restored.
+
+    If restored, it is in the original coordinates instead of an orthonormal basis of that space.
+    """
+    stack = [list(row) for row in (*relations, *rows)]
+    left = list(range(relations.shape[1]))
+    reflections = []
+    for i in range(len(relations)):
+        entries = {c: stack[i][c] for c in left if not is_zero(stack[i][c])}
+        reflections.append(_turn(entries, stack[i + 1 :]))
+        left.remove(reflections[-1].indices[0])
+        earlier = [stack[i][reflection.indices[0]] for reflection in reflections[:-1]]
+        if not all(map(is_zero, earlier)):
+            square = reflections[-1].size * reflections[-1].size
+            doubt.note_pivot(sqrt(square / (square + total([entry * entry for entry in earlier]))))
+    parts = stack[len(relations) :]
+    shape = (len(parts), relations.shape[1])
+    if not restored:
+        return np.array(parts, dtype=object).reshape(shape)[:, left]
+    for row in parts:
+        for reflection in reversed(reflections):
+            row[reflection.indices[0]] = 0.0
+        for reflection in reversed(reflections):
+            reflection.apply(row, transposed=True)
+    return np.array(parts, dtype=object).reshape(shape)
+
+
+def compressed(rows: Objects) -> Objects:
+    """Return rows times an orthogonal matrix, such that no more columns than rows are left."""
+    return triangular(rows) if rows.shape[1] > len(rows) else rows
+
+
+def triangular(rows: Objects) -> Objects:
+    """Return rows times an orthogonal matrix, in lower triangular form."""
+    stack = [list(row) for row in rows]
+    left, taken = list(range(rows.shape[1])), []
+    for i, row in enumerate(stack):
+        entries = {c: row[c] for c in left if not is_zero(row[c])}
+        if not entries:
+            continue
+        reflection = _turn(entries, stack[i + 1 :])
+        for c in reflection.indices:
+            row[c] = 0.0
+        row[reflection.indices[0]] = reflection.pivot
+        left.remove(reflection.indices[0])
+        taken.append(reflection.indices[0])
+    return np.array(stack, dtype=object).reshape(rows.shape)[:, taken]
+
+
+def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> _Reflection:
+    """Apply the reflection that leaves only the largest entry of a row to the other rows."""
+    reflection = _reflect(entries)
+    for row in rows:
+        reflection.apply(row)
+    return reflection
+
+
+def rank(rows: Objects, *, relative: bool = False) -> int:
+    """Return the rank at the median sample pose; singular values are compared with 1, or else with the greatest."""
+    if not rows.size:
+        return 0
+    count = max(np.size(samples(entry)) for entry in rows.ravel())
+    values = np.empty((count, *rows.shape))
+    for (i, j), entry in np.ndenumerate(rows):
+        values[:, i, j] = samples(entry)
+    sizes = np.linalg.svd(values[np.isfinite(values).all(axis=(1, 2))], compute_uv=False)
+    return int(typical((sizes > ZERO * (sizes[:, :1] if relative else 1.0)).sum(axis=1)))
+
+
+def squared_singular_values(rows: Objects) -> list[Scalar]:
+    """Return the squared singular values of rows in ascending order, each to high relative accuracy.
+
+    One-sided Jacobi rotations (J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13, 1992), a fixed number.
+    """
+    work = compressed(rows)
+    for _ in range(_SWEEPS if len(rows) > 3 else _SWEEPS - 1):
+        for i in range(len(work)):
+            for j in range(i + 1, len(work)):
+                work[[i, j]] = _orthogonal(work[i], work[j])
+    return _ascending([total([entry * entry for entry in row]) for row in work])
+
+
+def _orthogonal(a: Objects, b: Objects) -> Objects:
+    """Rotate two rows into orthogonal ones."""
+    aa, bb, ab = (total(list(x * y)) for x, y in ((a, a), (b, b), (a, b)))
+    difference, twice = bb - aa, 2.0 * ab
+    size = absolute(difference) + sqrt(difference * difference + twice * twice) + _TINY
+    tangent = select(less(difference, 0.0), -twice, twice) / size
+    cosine = 1.0 / sqrt(1.0 + tangent * tangent)
+    sine = cosine * tangent
+    return np.stack([cosine * a - sine * b, sine * a + cosine * b])
+
+
+def _ascending(numbers: list[Scalar]) -> list[Scalar]:
+    result = list(numbers)
+    for end in range(len(result) - 1, 0, -1):
+        for k in range(end):
+            result[k], result[k + 1] = minimum(result[k], result[k + 1]), maximum(result[k], result[k + 1])
+    return result
 
 
 def total(terms: Sequence[Scalar]) -> Scalar:

@@ -181,26 +181,6 @@ class Walk:
         return states[:, self.reached], np.where(passed, SINGULAR, states[:, self.status])
 
 
-def walk_program(
-    mechanism: Mechanism,
-    task: Task,
-    coordinates: Task,
-    step: Program,
-    samples: ArrayLike,
-    *,
-    dense: bool = False,
-    leg: float = LEG,
-) -> Walk:
-    """Record the walk of a task, given the step of :func:`~pm3dof_pin.programs.closing.closing_program`.
-
-    Samples, `dense` and errors as there; `coordinates` are those that tell branches apart; `leg` is the usual length of
-    a leg [rad, characteristic lengths].
-    """
-    start = start_program(mechanism, task, samples, dense=dense, leg=leg)
-    branch = branch_program(mechanism, coordinates, samples, dense=dense)
-    return Walk.from_programs(step, start, control_program(mechanism, start), branch)
-
-
 def branch_program(mechanism: Mechanism, coordinates: Task, samples: ArrayLike, *, dense: bool = False) -> Program:
     """Record the number of a configuration's branch, see :func:`~pm3dof_pin.programs.closing.branch_number`."""
     graph = Graph()
@@ -236,7 +216,8 @@ def start_program(
 ) -> Program:
     """Record the state at the start of a walk: where the coordinates are, and how many legs away the targets are.
 
-    Arguments as for :func:`walk_program`.
+    Arguments and errors as for :func:`~pm3dof_pin.programs.closing.closing_program`; `leg` is the usual length of a leg
+    [rad, characteristic lengths].
     """
     graph, rows = Graph(), np.asarray(samples, dtype=float)
     if not (mechanism.closures or task.tool):
