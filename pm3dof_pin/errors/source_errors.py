@@ -34,6 +34,7 @@ from pm3dof_pin.errors.pose_error import pose_difference
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.errors.thermal_growth import Bending, ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
+from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array
@@ -128,7 +129,9 @@ class ErrorSources:
         bearings = np.array(self.errors.fixed_bearings)
         together = ThermalGrowth(bearings, members=shares, expansion=numbers.expansion_per_K)
         kept = shares
-        if not together.grown(robot, _WARM).forward(robot.home.commands, on_failure="nan").solved:
+        try:
+            together.grown(robot, _WARM).forward(robot.home.commands, guess=robot.home)
+        except PM3DofError:  # members that do not close the loops together: those that do alone
             growing = GeometricErrors(robot, displacement_errors(robot, shares, "thermal", ["translation"]))
             closing = {parameter.place for parameter in closable(growing).parameters}
             kept = {place: share for place, share in shares.items() if place in closing}

@@ -41,7 +41,11 @@ MODULES = {
     "dynamics/statics.py": ["dynamics/test_statics.py"],
     "elastic/springs.py": ["elastic/test_springs.py", "elastic/test_beams.py", "elastic/test_shear_and_mass.py"],
     "elastic/elastic_model.py": ["elastic/test_beams.py", "elastic/test_shear_and_mass.py"],
-    "elastic/virtual_joints.py": ["elastic/test_virtual_joints.py", "elastic/test_shear_and_mass.py"],
+    "elastic/virtual_joints.py": [
+        "elastic/test_virtual_joints.py",
+        "elastic/test_springs.py",
+        "elastic/test_shear_and_mass.py",
+    ],
     "elastic/report.py": ["elastic/test_condensation.py", "elastic/test_beams.py"],
     "elastic/indices.py": ["elastic/test_indices.py"],
     "elastic/bow.py": ["elastic/test_flexures.py"],

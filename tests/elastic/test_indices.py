@@ -9,6 +9,7 @@ from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.elastic.indices import (
+    axis_stiffness,
     characteristic_length,
     condensed_stiffness,
     condition_number,
@@ -89,3 +90,12 @@ def test_poses_out_of_reach_stay_nan(matrices: np.ndarray) -> None:
 def test_a_length_of_nothing_is_refused(matrices: np.ndarray) -> None:
     with pytest.raises(InvalidValueError, match="length"):
         eigenvalues(matrices, 0.0)
+
+
+def test_rigid_axes_are_judged_by_their_own_kind_at_every_pose() -> None:
+    """Lateral compliances of 1e-8 m/N beside rotations of 1e-4 rad/(N m), whose rounding errors may be as large."""
+    diagonals = np.tile([1e-8, 2e-8, 1e-21, 1e-4, 5e-17, 2e-4], (2, 3, 1))
+    diagonals[1] *= 10.0
+    expected = np.tile([1e8, 5e7, np.inf, 1e4, np.inf, 5e3], (2, 3, 1))
+    expected[1] /= 10.0
+    np.testing.assert_allclose(axis_stiffness(diagonals), expected, rtol=1e-12)
