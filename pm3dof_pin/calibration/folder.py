@@ -58,8 +58,9 @@ def write_calibration(calibration: Fit, directory: Path | str, summary: Mapping[
     if files is None:
         raise DescriptionError(compensation.errors.robot.source, "files", "expected a robot that was read from files")
     errors_file = compensation.errors.file or files.errors
-    sources = [(source, source.name) for source in (files.path, files.closures, files.srdf) if source is not None]
+    sources = [(source, source.name) for source in (files.closures, files.srdf) if source is not None]
     with replace_directory(directory, _SUMMARY) as folder:
+        write_text_atomically(folder / "nominal" / files.tree_name, files.tree_text())
         for source, name in [*sources, (errors_file, files.errors.name)]:
             if source.is_file():
                 write_text_atomically(folder / "nominal" / name, source.read_text(encoding="utf-8"))
@@ -67,7 +68,7 @@ def write_calibration(calibration: Fit, directory: Path | str, summary: Mapping[
             factors = {name: factor for name, (factor, _) in compensation.stiffness.items()}
             write_calibrated_robot(compensation.errors, compensation.values, folder / "calibrated", factors)
         write_measurements(calibration.measurements, compensation.errors.robot, folder / MEASUREMENTS)
-        write_text_atomically(folder / _COMPENSATION, _compensation_as_json(compensation, files.path.name))
+        write_text_atomically(folder / _COMPENSATION, _compensation_as_json(compensation, files.tree_name))
         text = yaml.safe_dump(dict(summary), sort_keys=False, width=120, allow_unicode=True)
         write_text_atomically(folder / _SUMMARY, text)
         write_text_atomically(folder / REPORT, report)

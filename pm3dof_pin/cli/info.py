@@ -105,7 +105,7 @@ def _file_schema(kind: _FileKind) -> dict[str, Any]:
 
 def _files(files: RobotFiles) -> dict[str, Any]:
     return {
-        "description": str(files.described),
+        "description": str(files.path),
         "format": files.format,
         "urdf": str(files.path) if files.format == "urdf" else None,
         "closures_file": str(files.closures) if files.closures is not None else None,
@@ -244,7 +244,7 @@ def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool
         branch = 1
     if branch is not None and not 1 <= branch <= len(homes):
         raise typer.BadParameter(f"--branch {branch}: there are {len(homes)}")
-    path = files.srdf or files.described.parent / f"{files.name}.srdf"
+    path = files.srdf or files.path.parent / f"{files.name}.srdf"
     if branch is not None:
         write_configuration(path, "home", homes[branch - 1].configuration)
     written = None if branch is None else str(path)

@@ -29,19 +29,19 @@ def find_mesh(files: RobotFiles, name: str) -> Path:
     """
     place, found = f"mesh '{name}'", [(path, own) for path, own in _candidates(files, name) if path.is_file()]
     if not found:
-        raise DescriptionError(files.described, place, "expected an existing file")
+        raise DescriptionError(files.path, place, "expected an existing file")
     path, own = next(((path, own) for path, own in found if is_within(path, own)), found[0])
-    require_own(path, own, files.described, place)
+    require_own(path, own, files.path, place)
     if path.suffix.lower() not in _KINDS:
-        raise DescriptionError(files.described, place, f"expected a file of type {', '.join(sorted(_KINDS))}")
+        raise DescriptionError(files.path, place, f"expected a file of type {', '.join(sorted(_KINDS))}")
     if path.stat().st_size > _MOST_BYTES:
-        raise DescriptionError(files.described, place, f"expected no more than {_MOST_BYTES >> 20} MiB")
+        raise DescriptionError(files.path, place, f"expected no more than {_MOST_BYTES >> 20} MiB")
     return path.resolve()
 
 
 def _candidates(files: RobotFiles, name: str) -> Iterator[tuple[Path, Sequence[Path]]]:
     """Yield candidate paths of a mesh, each with the folders it must be in to be accepted."""
-    folder = files.described.absolute().parent
+    folder = files.path.absolute().parent
     if not name.startswith("package://"):
         for start in (folder, *files.own_folders, *files.package_paths):
             yield start / name.removeprefix("file://"), files.own_folders

@@ -47,7 +47,7 @@ ANY = Bounds("", 1e30, negative=True)
 NOT_NEGATIVE = Bounds("", 1e30)
 
 
-def parse_number(text: str, bounds: Bounds) -> tuple[float, str]:
+def _parse_number(text: str, bounds: Bounds) -> tuple[float, str]:
     """Read a number as C++ does, with no extra characters; return it and what is wrong with it, if anything."""
     word = text.strip()
     if not _NUMBER.fullmatch(word):
@@ -59,11 +59,11 @@ def parse_number(text: str, bounds: Bounds) -> tuple[float, str]:
 
 @lru_cache(maxsize=10_000)
 def parse_numbers(text: str, bounds: Bounds, count: int | None = None) -> tuple[tuple[float, ...], str]:
-    """Read and check numbers separated by spaces; see :func:`parse_number`."""
+    """Read and check numbers separated by spaces; see :func:`_parse_number`."""
     words = text.split()
     if count is not None and len(words) != count:
         return (), f"expected {count} numbers, not '{_shortened(text)}'"
-    read = [parse_number(word, bounds) for word in words]
+    read = [_parse_number(word, bounds) for word in words]
     return tuple(number for number, _ in read), next((problem for _, problem in read if problem), "")
 
 

@@ -50,15 +50,15 @@ def read_description(files: RobotFiles, *, lenient: bool = False) -> Description
 
 
 def _read_urdf(files: RobotFiles, lenient: bool) -> Description:
-    return read_urdf(read_xml(files.path), lenient=lenient)
+    return read_urdf(files.read_tree(), lenient=lenient)
 
 
 def _read_mjcf(files: RobotFiles, lenient: bool) -> Description:
-    return read_mjcf(files.path, files.own_folders, lenient=lenient)
+    return read_mjcf(files.path, files.own_folders, lenient=lenient, root=files.read_tree())
 
 
 def _read_sdf(files: RobotFiles, lenient: bool) -> Description:
-    return read_sdf(read_xml(files.path), lenient=lenient)
+    return read_sdf(files.read_tree(), lenient=lenient)
 
 
 READERS: Mapping[str, Callable[[RobotFiles, bool], Description]] = MappingProxyType(

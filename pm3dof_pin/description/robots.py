@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,9 +9,11 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
+from pm3dof_pin.description.expand import expand_xacro, is_xacro_trusted
 from pm3dof_pin.description.own_files import package_of
-from pm3dof_pin.description.xml_file import read_root_tag
+from pm3dof_pin.description.xml_file import Element, parse_xml, read_root_tag, read_xml
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
+from pm3dof_pin.files import read_text
 
 DESCRIPTION_SUFFIX = "_description"
 CLOSURES_SUFFIX = ".closures.yaml"
@@ -30,14 +31,14 @@ class RobotFiles:
     """The files of one robot."""
 
     name: str  #: name of the robot, or the stem of its file
-    path: Path  #: file with the tree of bodies and joints
+    path: Path  #: file with the tree of bodies and joints; relative file names in it start there
     closures: Path | None = None  #: file with loop closures, actuated joints, tool frame and springs, if any
     srdf: Path | None = None  #: file with named configurations and collision pairs, if any
     format: Format = "urdf"  #: format of the tree; MJCF includes loop closures and more
     package_paths: tuple[Path, ...] = ()  #: folders to search for the ROS packages of meshes, in order
     #: folders that files may be read from: the description's own and those given
     own_folders: tuple[Path, ...] = ()
-    xacro: Path | None = None  #: the file that the tree was expanded from, if any
+    expansion: str | None = None  #: what the file expands to if it is a xacro
 
     @property
     def urdf(self) -> Path:
@@ -49,18 +50,26 @@ class RobotFiles:
     @property
     def source(self) -> Path:
         """The file with the names of closures, drives and springs."""
-        return self.closures or self.described
+        return self.closures or self.path
 
     @property
     def errors(self) -> Path:
         """The error file, which may not exist."""
-        beside = self.closures if self.xacro and self.closures else self.described
+        beside = self.closures if self.expansion is not None and self.closures else self.path
         return beside.with_name(f"{self.name}.errors.yaml")
 
     @property
-    def described(self) -> Path:
-        """The file that describes the tree: a xacro, not its expansion; relative file names in it start there."""
-        return self.xacro or self.path
+    def tree_name(self) -> str:
+        """Name of a file with the tree, that of a URDF for a xacro."""
+        return self.path.name if self.expansion is None else f"{self.name}.urdf"
+
+    def tree_text(self) -> str:
+        """Read the text with the tree; DescriptionError if the file is unreadable."""
+        return read_text(self.path) if self.expansion is None else self.expansion
+
+    def read_tree(self) -> Element:
+        """Read the root element of the tree, as :func:`~pm3dof_pin.description.xml_file.read_xml`."""
+        return read_xml(self.path) if self.expansion is None else parse_xml(self.expansion.encode(), self.path)
 
 
 def robots_directory() -> Path:
@@ -96,7 +105,7 @@ def find_robot(
             - a name of :func:`robot_names`, or of a robot of example-robot-data where that is installed;
             - a URDF `x.urdf`. Its closures file `x.closures.yaml` or `robot.yaml` may be next to it or in `../urdf`,
               its SRDF `x.srdf` next to it or in `../srdf`; without a closures file it is a serial robot;
-            - a xacro file that expands to a URDF;
+            - a xacro file that expands to one of these;
             - an MJCF file, or an SDF file with one model;
             - a closures file, `x.closures.yaml` or `robot.yaml`, with its URDF next to it;
             - a folder with one of these: `robot.yaml` with `robot.urdf`, or the folder of a ROS package with `urdf/`.
@@ -110,24 +119,25 @@ def find_robot(
     tree, closures = _tree_and_closures(_existing_path(name_or_path))
     environment = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     packages = [Path(folder) for folder in (*package_paths, *environment) if folder]
-    name = tree.name.removesuffix(".xacro").removesuffix(".urdf") if tree.suffix == ".xacro" else tree.stem
-    path = tree
+    name, expansion = tree.stem, None
     if tree.suffix == ".xacro":
-        path = _expand(tree.resolve(), name, packages, xacro_args or {})
+        name = Path(name).stem if Path(name).suffix in (".urdf", ".xml", ".sdf") else name
+        arguments = tuple(sorted((xacro_args or {}).items()))
+        expansion = _expanded(tree.resolve(), tuple(packages), arguments, is_xacro_trusted())
     elif xacro_args:
         raise DescriptionError(tree, "file", f"is not a xacro file, so it has no argument {next(iter(xacro_args))}")
-    form = _format_of(path)
+    form = _format_of(tree, expansion)
     if closures is None:
         closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *(_CLOSURES_FALLBACKS if form == "urdf" else ()))
     return RobotFiles(
         name=name,
-        path=path,
+        path=tree,
         closures=closures,
         srdf=_beside(tree, "srdf", f"{name}.srdf"),
         format=form,
         package_paths=(*packages, *tree.resolve().parents),
         own_folders=(package_of(tree), *packages),
-        xacro=None if path == tree else tree,
+        expansion=expansion,
     )
 
 
@@ -190,8 +200,8 @@ def _beside(tree: Path, folder: str, *names: str) -> Path | None:
     return next((path for path in candidates if os.path.lexists(path)), None)  # an unreadable one is an error
 
 
-def _format_of(tree: Path) -> Format:
-    tag = read_root_tag(tree).rpartition("}")[2]
+def _format_of(tree: Path, expansion: str | None) -> Format:
+    tag = read_root_tag(tree) if expansion is None else parse_xml(expansion.encode(), tree).tag
     if tag not in _FORMAT_OF_ROOT:
         form = _NOT_READ.get(tag, f"an XML file of <{tag}>")
         raise DescriptionError(
@@ -207,24 +217,7 @@ def _is_mjcf(tree: Path) -> bool:
         return False
 
 
-def _expand(xacro: Path, name: str, packages: Sequence[Path], arguments: Mapping[str, str]) -> Path:
-    from pm3dof_pin.description.expand import is_xacro_trusted
-
-    return _expanded(xacro, name, tuple(packages), tuple(sorted(arguments.items())), is_xacro_trusted())
-
-
 @cache
-def _expanded(
-    xacro: Path, name: str, packages: tuple[Path, ...], arguments: tuple[tuple[str, str], ...], trusted: bool
-) -> Path:
-    """Expand a xacro file to a temporary URDF, which lasts as long as the process."""
-    import shutil
-    import tempfile
-
-    from pm3dof_pin.description.expand import expand_xacro
-
-    folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    urdf = folder / f"{name}.urdf"
-    urdf.write_text(expand_xacro(xacro, dict(arguments), package_paths=packages), encoding="utf-8")
-    return urdf
+def _expanded(xacro: Path, packages: tuple[Path, ...], arguments: tuple[tuple[str, str], ...], trusted: bool) -> str:
+    """Expand a xacro file, once per process."""
+    return expand_xacro(xacro, dict(arguments), package_paths=packages)

@@ -15,7 +15,6 @@ from pm3dof_pin.description.description import Body, Description, Inertial, Join
 from pm3dof_pin.description.mesh_files import find_mesh
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX, RobotFiles
 from pm3dof_pin.description.simple_joints import NEGLIGIBLE, with_frames_as_bodies, with_simple_joints
-from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError
 
 _logger = logging.getLogger(__name__)
@@ -38,8 +37,9 @@ def urdf_files(description: Description, *, floating: bool = True, own_meshes: b
         if files.errors.is_file():
             texts[".errors.yaml"] = files.errors.read_text(encoding="utf-8")
         if is_plain_urdf(description, floating=floating):
-            paths = {".urdf": files.path, CLOSURES_SUFFIX: files.closures, ".srdf": files.srdf}
-            return texts | {key: path.read_text(encoding="utf-8") for key, path in paths.items() if path is not None}
+            paths = {CLOSURES_SUFFIX: files.closures, ".srdf": files.srdf}
+            texts |= {key: path.read_text(encoding="utf-8") for key, path in paths.items() if path is not None}
+            return texts | {".urdf": files.tree_text()}
     simple = with_simple_joints(description, floating=floating)
     entries = closure_entries(simple)
     return texts | {
@@ -55,7 +55,7 @@ def is_plain_urdf(description: Description, *, floating: bool = True) -> bool:
         return False
     if with_simple_joints(description, floating=floating) is not description or description.frames:
         return False
-    names = {joint.get("name") for joint in read_xml(description.files.path).iter("joint")}
+    names = {joint.get("name") for joint in description.files.read_tree().iter("joint")}
     return {joint.name for joint in description.joints} <= names
 
 

@@ -254,7 +254,7 @@ class Mechanism:
     def require_possible_inertias(self) -> None:
         """Raise DescriptionError if a moving body has :attr:`impossible_inertias`."""
         for name, problem in self.impossible_inertias.items():
-            path = self.source if self.files is None else self.files.described
+            path = self.source if self.files is None else self.files.path
             raise DescriptionError(path, f"link '{name}', with all links fixed to it: inertia", problem)
 
     @cached_property

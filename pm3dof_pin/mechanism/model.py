@@ -81,7 +81,7 @@ class _Builder:
         else:
             if joint.zero:
                 placed = placed * joint.motion(-joint.zero)
-            carrier = model.addJoint(carrier, joint_model(joint), placed, joint.name)
+            carrier = model.addJoint(carrier, _joint_model(joint), placed, joint.name)
             frame = model.addJointFrame(carrier, frame)
             if inertia is not None:
                 model.appendBodyToJoint(carrier, inertia, inner)
@@ -92,7 +92,7 @@ def _name(joint: Joint) -> str:
     return joint.name
 
 
-def joint_model(joint: Joint) -> pin.JointModel:
+def _joint_model(joint: Joint) -> pin.JointModel:
     """Return Pinocchio's model of a movable joint."""
     match joint.type:
         case "spherical":

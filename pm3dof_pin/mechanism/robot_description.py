@@ -49,7 +49,7 @@ def read_source(
         problem = f"are for descriptions in files, not for a {type(source).__name__}"
         raise InvalidValueError(given[0], problem=problem)
     if isinstance(source, Description):
-        return arguments_of(replace(source, tool_frame=tool_frame or source.tool_frame))
+        return _arguments_of(replace(source, tool_frame=tool_frame or source.tool_frame))
     if isinstance(source, pin.Model):
         model = source.copy()
         _free_joints_without_limits(model, (), source.name)
@@ -70,7 +70,7 @@ def read_source(
             expected="the name of a robot, the path of its description, a pinocchio.Model, a yourdfpy.URDF, a "
             "mujoco.MjModel or MjSpec, or a module of robot_descriptions",
         )
-    return arguments_of(replace(description, tool_frame=tool_frame))
+    return _arguments_of(replace(description, tool_frame=tool_frame))
 
 
 def _path_of_module(module: ModuleType) -> Path:
@@ -88,10 +88,10 @@ def read_description(files: RobotFiles, tool_frame: str | None = None, *, lenien
     :func:`~pm3dof_pin.description.reading.read_description`.
     """
     description = reading.read_description(files, lenient=lenient)
-    return arguments_of(replace(description, tool_frame=tool_frame or description.tool_frame))
+    return _arguments_of(replace(description, tool_frame=tool_frame or description.tool_frame))
 
 
-def arguments_of(description: Description) -> dict[str, Any]:
+def _arguments_of(description: Description) -> dict[str, Any]:
     """Return a description as the arguments of a mechanism."""
     names = (
         *("closures", "couplings", "actuated_joints", "commands", "motion_coordinates", "coordinates", "limit_groups"),

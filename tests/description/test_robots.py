@@ -101,10 +101,10 @@ def test_xacro_is_expanded(tmp_path: Path) -> None:
     closures.touch()
     robot = find_robot(path)
     assert robot.name == "arm"
-    assert '<link name="forearm"' in robot.urdf.read_text()
+    assert '<link name="forearm"' in robot.tree_text()
     assert robot.closures == closures
     assert path.parent in robot.package_paths
-    assert robot.described == path
+    assert (robot.path, robot.tree_name) == (path, "arm.urdf")
     assert robot.errors == closures.with_name("arm.errors.yaml")
 
 

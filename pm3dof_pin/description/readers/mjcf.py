@@ -70,8 +70,12 @@ _JOINT_ATTRIBUTES = frozenset({
 _Pose: TypeAlias = pin.SE3
 
 
-def read_mjcf(path: Path, folders: tuple[Path, ...] = (), *, lenient: bool = False) -> Description:
+def read_mjcf(
+    path: Path, folders: tuple[Path, ...] = (), *, lenient: bool = False, root: Element | None = None
+) -> Description:
     """Read an MJCF model, with includes and attached models from `folders`, by default those of its own package.
+
+    `root` is the root element if it is known already.
 
     Raises:
         DescriptionError: a file is unreadable or not XML, a number is malformed or impossible, or an element that could
@@ -79,7 +83,7 @@ def read_mjcf(path: Path, folders: tuple[Path, ...] = (), *, lenient: bool = Fal
         FrameNotFoundError: an equality refers to an unknown body.
         JointNotFoundError: an actuator, tendon or equality refers to an unknown joint.
     """
-    return _MjcfReader(MjcfDocument(path, folders), lenient=lenient).read()
+    return _MjcfReader(MjcfDocument(path, folders, root=root), lenient=lenient).read()
 
 
 @dataclass(frozen=True)

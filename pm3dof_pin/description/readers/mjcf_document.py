@@ -31,16 +31,24 @@ class MjcfDocument:
     Args:
         path: the file.
         folders: folders that other files may be read from; by default those of the file's package.
+        within: files that attach this one.
+        root: its root element if it is known already.
 
     Raises:
         DescriptionError: a file is unreadable, not XML or not MJCF, includes itself, or lies outside the folders.
     """
 
-    def __init__(self, path: Path, folders: tuple[Path, ...] = (), within: tuple[Path, ...] = ()) -> None:
+    def __init__(
+        self,
+        path: Path,
+        folders: tuple[Path, ...] = (),
+        within: tuple[Path, ...] = (),
+        root: Element | None = None,
+    ) -> None:
         self.path = path
         self.folders = folders or (package_of(path),)
         self._within = (*within, path.resolve())
-        self.root = read_xml(path)
+        self.root = read_xml(path) if root is None else root
         self._include(self.root, ())
         if sum(1 for _ in self.root.iter()) > _MAX_ELEMENTS:
             raise self.root.origin.error("<mujoco>", f"expected at most {_MAX_ELEMENTS} elements")
@@ -194,7 +202,7 @@ class _Defaults:
         entries = {kind: dict(values) for kind, values in inherited.items()}
         for element in children(default):
             if element.tag != "default":
-                kind = kind_of(element)
+                kind = _kind_of(element)
                 entries[kind] = entries.get(kind, {}) | element.attrib
         self.classes[name] = entries
         for element in children(default, "default"):
@@ -217,10 +225,10 @@ class _Defaults:
             raise element.origin.error(named(element), f"no default class '{name}' in <default>")
         if element.tag == "freejoint":
             return dict(element.attrib)
-        return self.classes[name].get(kind or kind_of(element), {}) | element.attrib
+        return self.classes[name].get(kind or _kind_of(element), {}) | element.attrib
 
 
-def kind_of(element: Element) -> str:
+def _kind_of(element: Element) -> str:
     """Return the kind of element that shares its defaults: one for all actuators, and one for all equalities."""
     if element.tag in _ACTUATORS:
         return "actuator"
