@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 import pm3dof_pin
-from pm3dof_pin.cli.options import RepeatableCommand, with_groups
+from pm3dof_pin.cli.command import RepeatableCommand, with_groups
 from pm3dof_pin.description.expand import trust_xacro as allow_xacro
 from pm3dof_pin.exceptions import PM3DofError
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from pm3dof_pin.capability.tool_capability import ToolCapability, tool_capability
 from pm3dof_pin.cli.options import (
     AppliedWrenches,
     Json,
@@ -20,11 +21,8 @@ from pm3dof_pin.cli.output import table_lines
 from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
 from pm3dof_pin.exceptions import InvalidValueError
-
-if TYPE_CHECKING:
-    from pm3dof_pin.capability.tool_capability import ToolCapability
-    from pm3dof_pin.kinematics.robot import Poses
-    from pm3dof_pin.typing import Array
+from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.typing import Array
 
 _LIMITS = "N|JOINT=N,.."
 
@@ -50,8 +48,6 @@ def capability(
     environment leave. Gravity counts. A pose that breaks a joint limit is still computed, with a message and exit
     status 1.
     """
-    from pm3dof_pin.capability.tool_capability import tool_capability
-
     robot = which.load()
     limits: Any = {
         "effort": numbers_by_name("--effort", effort),

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
+from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
+from pm3dof_pin.calibration.folder import read_compensation
 from pm3dof_pin.cli.options import Json, OutFile, PlaceOptions, PoseOptions, Wrench
 from pm3dof_pin.cli.output import message, progress_bar, table_lines
 from pm3dof_pin.cli.poses import (
@@ -18,11 +21,11 @@ from pm3dof_pin.cli.poses import (
     read_table,
     write_batch,
 )
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.pose_file import readings
-
-if TYPE_CHECKING:
-    from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
-    from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.units import coordinate_scales
+from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 
 _SAME = 1e-9  # greatest difference between tool positions [m]
 _TRIED = 0.01  # motion of a drive [characteristic lengths, rad]
@@ -57,10 +60,6 @@ def compensate(
     Differences are motions of the drives. A pose that breaks a joint limit is still computed, with a message and exit
     status 1.
     """
-    from pm3dof_pin.calibration.folder import read_compensation
-    from pm3dof_pin.exceptions import InvalidValueError
-    from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
-
     chosen = PoseOptions(pose=at.pose, configuration=at.configuration, poses=poses, out=out)
     given = _conditions(condition or []) | dict(zip(WRENCH_COLUMNS, wrench or (), strict=False))
     known = read_compensation(calibration)
@@ -104,17 +103,11 @@ def compensate(
 
 def _loaded(robot: str, machine: Robot) -> Robot:
     """Load the robot of `--robot`, with the calibrated tool."""
-    from pm3dof_pin.kinematics.robot import Robot
-
     return Robot.load(robot, tool_frame=machine.tool_frame)
 
 
 def _moves_alike(one: Robot, other: Robot) -> bool:
     """Tell whether two robots have the same drives, and the same tool positions at commands around home."""
-    import numpy as np
-
-    from pm3dof_pin.kinematics.units import coordinate_scales
-
     drives = [[(command.name, command.unit) for command in robot.commands] for robot in (one, other)]
     if drives[0] != drives[1] or not np.allclose(one.home.commands, other.home.commands, rtol=0.0, atol=_SAME):
         return False

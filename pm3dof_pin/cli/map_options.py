@@ -5,20 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import typer
 
 from pm3dof_pin.cli import completion
-from pm3dof_pin.cli.options import NUMBER_OF_VALUES, finite_number
+from pm3dof_pin.cli.command import NUMBER_OF_VALUES
+from pm3dof_pin.cli.options import finite_number
 from pm3dof_pin.cli.output import message
 from pm3dof_pin.cli.poses import check_units, in_si
 from pm3dof_pin.description.coordinates import Coordinate, shown_in
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.grid import Grid
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.maps.quantity import Quantity
+from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.quantities import QUANTITIES
+from pm3dof_pin.maps.quantity import Quantity
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,6 @@ Threads = Annotated[
 
 def known_quantities(names: Sequence[str] | None) -> Mapping[str, Quantity]:
     """Return all quantities that can be mapped, after checking those of `--quantity`."""
-    from pm3dof_pin.maps.quantities import QUANTITIES
-
     for name in names or ():
         if name not in QUANTITIES:
             raise typer.BadParameter(f"no quantity '{name}', expected one of {', '.join(QUANTITIES)}")
@@ -111,8 +111,6 @@ def robot_grid(
     robot: Robot, ranges: Sequence[CoordinateRange] | None, values: Sequence[CoordinateRange] | None = None
 ) -> Grid:
     """Return the grid of `--range` (or `--over`) and `--at`; wrong usage ends the command with status 2."""
-    import numpy as np
-
     given = [*(ranges or ()), *(values or ())]
     names = [entry.name for entry in given]
     known = {coordinate.name: coordinate for coordinate in robot.coordinates}
@@ -144,8 +142,6 @@ def robot_grid(
 
 def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Sequence[int]) -> list[CoordinateRange]:
     """Return the ranges of coordinates as values of `--range`, with the given counts."""
-    from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
-
     ranges = []
     for coordinate, count in zip(coordinates, counts, strict=True):
         lower, upper = coordinate_range(robot, coordinate)

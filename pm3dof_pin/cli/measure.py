@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
+import numpy as np
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.options import Json, KnownWrenches, RobotErrorsOptions
 from pm3dof_pin.cli.output import message, print_result
-
-if TYPE_CHECKING:
-    from pm3dof_pin.simulation.worlds import World
-    from pm3dof_pin.typing import Array, Mask
+from pm3dof_pin.exceptions import ConvergenceError, OutputError, PM3DofError, UnreachablePoseError
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurement_file import read_plan, write_measurements
+from pm3dof_pin.simulation.worlds import World
+from pm3dof_pin.typing import Array, Mask
 
 _POSES = 60
 
@@ -51,16 +55,6 @@ def measure(
 
     A file that exists is kept: it may hold real measurements.
     """
-    from dataclasses import replace
-
-    import numpy as np
-
-    from pm3dof_pin.exceptions import ConvergenceError, OutputError, UnreachablePoseError
-    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-    from pm3dof_pin.measuring.instrument import Instrument
-    from pm3dof_pin.measuring.measurement_file import read_plan, write_measurements
-    from pm3dof_pin.simulation.worlds import World
-
     if poses is not None and plan is not None:
         raise typer.BadParameter("expected --poses or --plan, not both")
     if out.exists() and not force:
@@ -99,9 +93,6 @@ def measure(
 
 def _taken(truth: World, commands: Array) -> Mask:
     """Tell which commands the machine can reach, shape=(n,): near singular poses, fewer than the nominal one can."""
-    import numpy as np
-
-    from pm3dof_pin.exceptions import PM3DofError
 
     def takes(command: Array) -> bool:
         try:

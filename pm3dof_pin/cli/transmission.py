@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from pm3dof_pin.capability.serial_model import SerialModel, Spread, serial_model
+from pm3dof_pin.capability.table import write_tables
+from pm3dof_pin.capability.transmission import Transmission, held_outside, joint_driven
+from pm3dof_pin.capability.transmission import transmission as compute
 from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_grid
 from pm3dof_pin.cli.options import (
     Json,
@@ -21,13 +26,7 @@ from pm3dof_pin.cli.options import (
 from pm3dof_pin.cli.output import fixed, message, print_result, table_lines
 from pm3dof_pin.cli.poses import place
 from pm3dof_pin.description.coordinates import shown_in
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from pm3dof_pin.capability.serial_model import SerialModel, Spread
-    from pm3dof_pin.capability.transmission import Transmission
-    from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array
 
 _POINTS = 21
 
@@ -83,10 +82,6 @@ def transmission(
     box of --over: the range of each, and the constant that is least wrong. Limits that are unknown are left out, and
     torques given in multiples of the drives' effort.
     """
-    from pm3dof_pin.capability.serial_model import serial_model
-    from pm3dof_pin.capability.transmission import held_outside, joint_driven
-    from pm3dof_pin.capability.transmission import transmission as compute
-
     robot = which.load()
     if subtree is not None:
         robot = held_outside(robot, subtree)
@@ -107,8 +102,6 @@ def transmission(
     result = {"robot": robot.name} | transmission_result(at, kp=kp, kd=kd) | {"box": serial_model_result(model)}
     files = []
     if out is not None:
-        from pm3dof_pin.capability.table import write_tables
-
         files = write_tables(box, out)
     print_result(result, [*_lines(at), "", *_box_lines(model)], as_json=as_json, files=files)
     unknown = [name for name, spread in (("--effort", model.torque), ("--speed", model.speed)) if spread is None]
