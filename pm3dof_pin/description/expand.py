@@ -78,7 +78,10 @@ def expand_together(
 
 
 def _tidied(path: Path, text: str) -> str:
-    robot = ElementTree.fromstring(text)
+    try:
+        robot = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:  # an expression can make any character
+        raise DescriptionError(path, "xacro", f"expands to what is not XML ({error})") from error
     for element in robot.iter():
         _tidy(path, element)
     ElementTree.indent(robot, "  ")

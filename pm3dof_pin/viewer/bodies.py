@@ -6,7 +6,7 @@ import logging
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, assert_never
+from typing import assert_never
 
 import numpy as np
 import pinocchio as pin
@@ -187,8 +187,8 @@ def _mesh_parts(visual: Visual, placement: Array) -> list[BodyPart]:
     shape, parts = visual.shape, []
     assert visual.path is not None
     for number, mesh in enumerate(read_meshes(visual.path)):
-        vertices = np.asarray(mesh.vertices) * np.array(shape.sizes)
-        colour = _own_colour(mesh) if shape.colour is None else _colour(shape.colour)
+        vertices = mesh.vertices * np.array(shape.sizes)
+        colour = _colour(shape.colour or mesh.colour or _GREY)
         vertices, faces = _coarsened(vertices, mesh.faces)
         body = objects.mesh(objects.triangles(vertices, faces), colour[:3], opacity=colour[3])
         box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
@@ -208,14 +208,6 @@ def _coarsened(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArra
     joined = cell_of.reshape(-1)[faces]
     flat = (joined == np.roll(joined, 1, axis=1)).any(axis=1)
     return vertices[first], joined[~flat]
-
-
-def _own_colour(mesh: Any) -> tuple[float, float, float, float]:
-    """Return the main colour of a mesh's material; grey if it has none."""
-    if mesh.visual.kind is None:
-        return _GREY
-    painted = mesh.visual.material if mesh.visual.kind == "texture" else mesh.visual
-    return _colour(np.asarray(painted.main_color, dtype=float) / 255.0)
 
 
 def _colour(numbers: ArrayLike) -> tuple[float, float, float, float]:

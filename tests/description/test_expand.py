@@ -336,3 +336,11 @@ def test_a_trusted_xacro_may_do_all(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         trust_xacro(False)
     with pytest.raises(DescriptionError, match="'OF_MINE' is not set"):
         expand_xacro(path)
+
+
+def test_characters_that_xml_does_not_have_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bell.urdf.xacro"
+    root = '<robot name="bell" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    path.write_text(root + """<link name="${'a' + '\\x07'}"/></robot>""")
+    with pytest.raises(DescriptionError, match=r"bell\.urdf\.xacro: xacro: expands to what is not XML"):
+        expand_xacro(path)
