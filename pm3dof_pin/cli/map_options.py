@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -19,8 +19,9 @@ from pm3dof_pin.description.coordinates import Coordinate, shown_in
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.quantities import QUANTITIES
-from pm3dof_pin.maps.quantity import Quantity
+
+if TYPE_CHECKING:
+    from pm3dof_pin.maps.quantity import Quantity
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,8 @@ Threads = Annotated[
 
 def known_quantities(names: Sequence[str] | None) -> Mapping[str, Quantity]:
     """Return all quantities that can be mapped, after checking those of `--quantity`."""
+    from pm3dof_pin.maps.quantities import QUANTITIES  # it loads the compiler
+
     for name in names or ():
         if name not in QUANTITIES:
             raise typer.BadParameter(f"no quantity '{name}', expected one of {', '.join(QUANTITIES)}")
