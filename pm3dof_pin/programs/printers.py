@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping
 
 from pm3dof_pin.programs.c import c99
 from pm3dof_pin.programs.javascript import javascript
-from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.walk import Walk
 
-PRINTERS: Mapping[str, Callable[[Program | Walk], str]] = {"c": c99, "js": javascript}
-"""Function that prints a program or a walk as source code, by the suffix of its files."""
+PRINTERS: Mapping[str, Callable[..., str]] = {"c": c99, "js": javascript}
+"""Function of a program or walk, and optionally `parameters`, that prints source code, by the suffix of its files."""

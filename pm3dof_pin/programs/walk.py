@@ -190,7 +190,9 @@ def branch_program(mechanism: Mechanism, coordinates: Task, samples: ArrayLike, 
     return graph.program("branch", {"branch": number})
 
 
-def accepted(margin: Scalar, jump: Scalar, residual: Scalar, tolerance: Scalar, mode: Scalar, limits: Limits) -> Truth:
+def _is_accepted(
+    margin: Scalar, jump: Scalar, residual: Scalar, tolerance: Scalar, mode: Scalar, limits: Limits
+) -> Truth:
     """Return whether a pose is in the given assembly mode, and no limit is exceeded on the way to it."""
     regularity, found = _regularity_and_mode(margin)
     same = less(absolute(found - mode), 0.5) & less(limits.regularity, regularity)
@@ -201,7 +203,7 @@ def acceptance_program() -> Program:
     """Record whether a march accepts a pose: inputs `margin`, `jump`, `residual`, `mode` of home; output 1 or 0."""
     graph = Graph()
     margin, jump, residual, mode = (graph.input(name, [0.5]) for name in ("margin", "jump", "residual", "mode"))
-    is_accepted = accepted(margin, jump, residual, NEARLY_CLOSED, mode, MARCH)
+    is_accepted = _is_accepted(margin, jump, residual, NEARLY_CLOSED, mode, MARCH)
     return graph.program("accept", {"accepted": select(is_accepted, 1.0, 0.0)})
 
 
@@ -308,7 +310,7 @@ def control_program(mechanism: Mechanism, start: Program) -> Program:
     # if not, is it accepted?
     tolerance = select(is_last, now["tolerance"], tolerance)
     is_closed = less(residual, tolerance) & less(jump, WALK.jump)
-    is_accepted = accepted(margin, jump, residual, tolerance, mode, WALK)
+    is_accepted = _is_accepted(margin, jump, residual, tolerance, mode, WALK)
     ends_singular = is_near & is_closed & less(regularity, WALK.regularity)
     is_accepted = is_accepted | ends_singular
     is_accepted = is_accepted & ~goes_on & ~begins

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
-import shutil
-import subprocess
 import threading
 
 import numpy as np
@@ -15,7 +12,7 @@ from hypothesis import strategies as st
 
 from pm3dof_pin.programs import llvm, llvm_ir
 from pm3dof_pin.programs.c import c99
-from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, less, maximum, minimum, select, sin, sqrt
+from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, floor, less, maximum, minimum, select, sin, sqrt
 from pm3dof_pin.programs.javascript import javascript
 from pm3dof_pin.programs.program import OPERATIONS as MEANING
 from pm3dof_pin.programs.program import Program
@@ -37,6 +34,7 @@ OPERATIONS = (
     lambda a, b, c: atan2(a, b),
     lambda a, b, c: minimum(a, b),
     lambda a, b, c: maximum(a, b),
+    lambda a, b, c: floor(a * 0.37),
     lambda a, b, c: select(less(a, b), c, a),
     lambda a, b, c: select(less(a, b) & less(b, c), a, c),
     lambda a, b, c: select(less(a, b) | ~less(c, b), b, c),
@@ -161,16 +159,8 @@ def many_programs():
     return [program_of(some[: 1 + k % 30], f"program_{k}") for k, some in enumerate(steps)]
 
 
-def test_c(many_programs, tmp_path):
-    compiler = shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
-        pytest.skip("no C compiler")
-    source = tmp_path / "programs.c"
-    source.write_text("\n".join(c99(program, summary="Random.") for program in many_programs))
-    library = tmp_path / "programs.so"
-    strict = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC")
-    subprocess.run([compiler, *strict, source, "-o", library, "-lm"], check=True, timeout=100)
-    functions = ctypes.CDLL(str(library))
+def test_c(many_programs, compiled_c):
+    functions = compiled_c("\n".join(c99(program) for program in many_programs))
     pointer = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
     for k, program in enumerate(many_programs):
         function = getattr(functions, program.name)
@@ -182,34 +172,17 @@ def test_c(many_programs, tmp_path):
         assert_agree(outputs, program, inputs, parameters)
 
 
-def test_javascript(many_programs, tmp_path):
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("no Node")
-    calls = []
+def test_javascript(many_programs, run_javascript):
+    """Every other program with its parameters built in."""
+    functions, calls = [], []
     for k, program in enumerate(many_programs):
-        inputs, parameters = (
-            [list(map(repr, row)) for row in array.tolist()] for array in map(np.atleast_2d, numbers(k, 20))
-        )
-        calls.append(
-            {"name": program.name, "inputs": inputs, "parameters": parameters[0], "size": len(program.results)}
-        )
-    script = tmp_path / "programs.js"
-    functions = "\n".join(javascript(program) for program in many_programs)
-    table = ", ".join(program.name for program in many_programs)
-    script.write_text(
-        f"{functions}\nconst functions = {{ {table} }};\nconst calls = {json.dumps(calls)};\n"
-        """
-        const number = (text) => Number(text.replace("inf", "Infinity"));
-        const results = calls.map((call) => call.inputs.map((row) => {
-          const y = new Float64Array(call.size);
-          functions[call.name](row.map(number), call.parameters.map(number), y);
-          return Array.from(y, String);
-        }));
-        console.log(JSON.stringify(results));
-        """
-    )
-    printed = subprocess.run([node, script], check=True, capture_output=True, text=True, timeout=100).stdout
-    for k, (program, rows) in enumerate(zip(many_programs, json.loads(printed), strict=True)):
+        inputs, parameters = numbers(k, 20)
+        functions.append(javascript(program, parameters if k % 2 else None))
+        rows, given = (json.dumps(np.vectorize(repr)(array.tolist()).tolist()) for array in (inputs, parameters))
+        p = "" if k % 2 else f"{given}.map(Number), "
+        y = f"new Float64Array({len(program.results)})"
+        calls.append(f"{rows}.map((row) => {{ const y = {y}; {program.name}(row.map(Number), {p}y); return [...y]; }})")
+    results = run_javascript("\n".join(functions), f"[{', '.join(calls)}]".replace("inf", "Infinity"))
+    for k, (program, rows) in enumerate(zip(many_programs, results, strict=True)):
         inputs, parameters = numbers(k, 20)
         assert_agree(np.array(rows, dtype=float), program, inputs, parameters)

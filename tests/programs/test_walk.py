@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import json
-import shutil
-import subprocess
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -92,16 +91,9 @@ def test_machine_code(name: str, given: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "given"), CASES)
-def test_c(name: str, given: str, tmp_path: Path) -> None:
-    compiler = shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
-        pytest.skip("no C compiler")
+def test_c(name: str, given: str, compiled_c: Callable[[str], Any]) -> None:
     case = walked(name, given)
-    source, library = tmp_path / "walk.c", tmp_path / "walk.so"
-    source.write_text(c99(case.walk.renamed("go"), summary="Walks."))
-    strict = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC")
-    subprocess.run([compiler, *strict, source, "-o", library, "-lm"], check=True, timeout=100)
-    go = ctypes.CDLL(str(library)).go
+    go = compiled_c(c99(case.walk.renamed("go"))).go
     pointer = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
     go.argtypes = (pointer, pointer, pointer, ctypes.c_int, pointer)
     q, status = np.full_like(case.q, -7.0), np.empty(TARGETS)
@@ -113,19 +105,15 @@ def test_c(name: str, given: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "given"), CASES)
-def test_javascript(name: str, given: str) -> None:
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("needs Node")
+def test_javascript(name: str, given: str, run_javascript: Callable[[str, str], Any]) -> None:
     case = walked(name, given)
-    rows = [[repr(x) for x in row] for row in case.targets.tolist()]
-    script = f"""{javascript(case.walk.renamed("go"), case.bound.parameters)}
-        const start = {json.dumps(case.start[0].tolist())}, rows = {json.dumps(rows)};
-        console.log(JSON.stringify(rows.map((row) => {{
+    rows = json.dumps([[repr(x) for x in row] for row in case.targets.tolist()])
+    source = f"""{javascript(case.walk.renamed("go"), case.bound.parameters)}
+        const start = {json.dumps(case.start[0].tolist())};
+        function end(row) {{
           const q = new Float64Array(start.length).fill(-7);
           return [go(start, row.map(Number), q), ...q];
-        }})));"""
-    answer = subprocess.run([node, "-"], input=script, capture_output=True, text=True, check=True, timeout=100)
-    results = np.array(json.loads(answer.stdout), dtype=float)
+        }}"""
+    results = np.array(run_javascript(source, f"{rows}.map(end)"), dtype=float)
     assert_same(case, results[:, 1:], results[:, 0])
     assert (results[results[:, 0] != REACHED, 1:] == -7.0).all()
