@@ -17,7 +17,7 @@ from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
-from pm3dof_pin.errors.tool_errors import ToolErrors, control_basis
+from pm3dof_pin.errors.tool_errors import ToolErrors
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.typing import Array
@@ -115,9 +115,8 @@ class ErrorBudget(ToolErrors):
             share,
         )
 
-    @cached_property
-    def _basis(self) -> Array:
-        return control_basis(self.control * tip_weights(self.eta)[:, None])
+    def _by_commands(self) -> Array:
+        return self.control
 
     def _left(self, weighted: Array) -> Array:
         return np.asarray(weighted - self._basis @ (np.swapaxes(self._basis, 1, 2) @ weighted))

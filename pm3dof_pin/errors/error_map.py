@@ -18,7 +18,7 @@ from pm3dof_pin.errors.error_parameters import HALF_WIDTH, Distribution, Geometr
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
-from pm3dof_pin.errors.tool_errors import ToolErrors, control_basis, root_sum_squares
+from pm3dof_pin.errors.tool_errors import ToolErrors
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Poses, Robot
@@ -57,20 +57,19 @@ class ErrorMap(ToolErrors):
     @cached_property
     def uncompensable(self) -> Array:
         """The part of W S that no command can undo, shape=(n, 6, number of parameters)."""
-        left = self._used @ -self._compensable
+        left = self._basis @ -self._compensable
         left += self.weighted
         sizes, whole = (np.einsum("nik,nik->nk", columns, columns) for columns in (left, self.weighted))
         left *= (sizes > SOLVED**2 * whole)[:, None]
         return frozen(left)
 
     @cached_property
-    def _used(self) -> Array:
-        return control_basis(self.sensitivities.commands * tip_weights(self.eta)[:, None])
-
-    @cached_property
     def _compensable(self) -> Array:
         """Part of W S that commands undo, in the basis of their motions, shape=(n, number of commands, parameters)."""
-        return np.asarray(np.swapaxes(self._used, 1, 2) @ self.weighted)
+        return np.asarray(np.swapaxes(self._basis, 1, 2) @ self.weighted)
+
+    def _by_commands(self) -> Array:
+        return self.sensitivities.commands
 
     @property
     def shift(self) -> Array:
@@ -90,27 +89,27 @@ class ErrorMap(ToolErrors):
     @property
     def tip_rms(self) -> Array:
         """Root-sum-square tip error of all parameters, shape=(n,) [m]."""
-        return root_sum_squares(self.weighted, self.sigmas)
+        return self._sizes(self.weighted, self.sigmas)
 
     @property
     def position_rms(self) -> Array:
         """Root-sum-square error of the tool point, shape=(n,) [m]."""
-        return root_sum_squares(self.sensitivities.errors[:, :3], self.sigmas)
+        return self._sizes(self.sensitivities.errors[:, :3], self.sigmas)
 
     @property
     def orientation_rms(self) -> Array:
         """Root-sum-square error of the orientation, shape=(n,) [rad]."""
-        return root_sum_squares(self.sensitivities.errors[:, 3:], self.sigmas)
+        return self._sizes(self.sensitivities.errors[:, 3:], self.sigmas)
 
     @property
     def uncompensable_rms(self) -> Array:
         """Remaining tip error with the best commands, shape=(n,) [m]."""
-        return root_sum_squares(self.uncompensable, self.sigmas)
+        return self._sizes(self.uncompensable, self.sigmas)
 
     @property
     def compensable_rms(self) -> Array:
         """Tip error that the best commands undo, orthogonal to the remaining one, shape=(n,) [m]."""
-        return root_sum_squares(self._compensable, self.sigmas)
+        return self._sizes(self._compensable, self.sigmas)
 
     def tip_bound(self, coverage: float) -> Array:
         """Return the tip error below which this fraction of machines, such as 0.95, stays at each pose, shape=(n,) [m].

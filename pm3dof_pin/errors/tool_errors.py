@@ -12,6 +12,7 @@ as vectors before they are squared. Corrected commands leave (1 - W C (W C)^+) W
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 
 import numpy as np
 
@@ -47,12 +48,16 @@ class ToolErrors(ABC):
     def greatest(self) -> Array:
         """Greatest value of each number in standard deviations, shape=(k,)."""
 
+    @abstractmethod
+    def _by_commands(self) -> Array:
+        """Return the tool's motion by the commands, shape=(n, 6, number of commands)."""
+
     @property
     def tip_rms(self) -> Array:
         """Tip error, root mean square over machines, shape=(n,) [m]."""
         weights = tip_weights(self.eta)
         squares = np.sum((self.shift * weights) ** 2, axis=1)
-        return np.asarray(np.sqrt(squares + root_sum_squares(np.swapaxes(self.effects, 1, 2), weights) ** 2))
+        return np.asarray(np.sqrt(squares + self._sizes(np.swapaxes(self.effects, 1, 2), weights) ** 2))
 
     @property
     def worst_tip(self) -> Array:
@@ -89,14 +94,13 @@ class ToolErrors(ABC):
         sizes = self.tip_rms
         return np.asarray(sizes <= np.sort(sizes)[max(1, round(part * len(sizes))) - 1])
 
+    @cached_property
+    def _basis(self) -> Array:
+        """Orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); zero-padded."""
+        left, values, _ = np.linalg.svd(self._by_commands() * tip_weights(self.eta)[:, None], full_matrices=False)
+        return np.asarray(left * (values > SOLVED * values.max(axis=1, keepdims=True))[:, None, :])
 
-def control_basis(control: Array) -> Array:
-    """Return an orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); zero-padded."""
-    left, values, _ = np.linalg.svd(control, full_matrices=False)
-    return np.asarray(left * (values > SOLVED * values.max(axis=1, keepdims=True))[:, None, :])
-
-
-def root_sum_squares(effects: Array, sigmas: Array | float = 1.0) -> Array:
-    """Return root-sum-square sizes of effects, shape=(n, rows, k), by deviations, shape=(k,); no copies."""
-    squares = np.broadcast_to(np.square(sigmas), effects.shape[-1:])
-    return np.asarray(np.sqrt(np.einsum("nik,nik,k->n", effects, effects, squares)))
+    @staticmethod
+    def _sizes(effects: Array, sigmas: Array) -> Array:
+        """Return root-sum-square sizes of effects, shape=(n, rows, k), by deviations, shape=(k,); no copies."""
+        return np.asarray(np.sqrt(np.einsum("nik,nik,k->n", effects, effects, np.square(sigmas))))

@@ -107,7 +107,7 @@ class SimulatedMachine:
         With `everything`, all six errors of every joint and frame are drawn, not only those that `errors` lists; the
         others within the smallest tolerances of `errors`.
         """
-        truth = with_all_parameters(errors) if everything else errors
+        truth = _with_all_parameters(errors) if everything else errors
         source = GeometricSource(truth, truth.sample(generator, distribution))
         return cls(errors.robot, source)
 
@@ -199,7 +199,7 @@ class SimulatedMachine:
         return moved_pose(transforms, self.elastic.displacements(crooked.forward(commands, guess=guesses), wrenches))
 
 
-def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
+def _with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
     """Return the errors of every joint and frame of a robot, keeping the tolerances of the listed ones.
 
     Unlisted errors get the smallest listed tolerance of their kind, or the usual one if none is listed. Errors with
@@ -213,16 +213,6 @@ def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
     listed = {(p.place, p.motion): p.tolerance for p in errors.parameters}
     everything = [replace(p, tolerance=listed.get((p.place, p.motion), least[p.motion])) for p in all_parameters(robot)]
     return closable(GeometricErrors(robot, everything))
-
-
-def waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
-    """Return waves without those with which the loops cannot close, such as out of the plane of a planar robot."""
-    if not robot.closures or not waves.straightness:
-        return waves
-    across = GeometricErrors(robot, beside_guideways(robot))
-    closing = iter(np.isin(across.names, closable(across).names))
-    kept = [[wave if next(closing) else () for wave in pair] for pair in waves.straightness]
-    return replace(waves, straightness=tuple((first, second) for first, second in kept))
 
 
 def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -10,16 +10,18 @@ import numpy as np
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
-from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.error_parameters import GeometricErrors, beside_guideways
+from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.source_errors import LINKS_SHARE
 from pm3dof_pin.errors.thermal_growth import ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import GuideWaviness
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.wrenches import WEIGHT_COLUMN, WRENCH_COLUMNS, is_wrench, wrenches_of
-from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, waves_that_close, with_all_parameters
+from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine
 from pm3dof_pin.typing import Array
 
 WorldName = Literal["everything", "geometry"]
@@ -59,9 +61,9 @@ class World:
             raise InvalidValueError("world", name, f"one of {', '.join(WORLDS)}")
         if name == "geometry":
             return cls(SimulatedMachine.random(errors, generator, everything=False))
-        truth = with_all_parameters(errors)
-        machine = SimulatedMachine.random(truth, generator, everything=False)
-        robot = errors.robot
+        machine = SimulatedMachine.random(errors, generator)
+        assert machine.geometric is not None
+        truth, robot = machine.geometric.errors, errors.robot
         position, angle = _VIBRATION
         machine = replace(machine, vibration=Vibration(np.diag(np.repeat([position, angle], 3) ** 2)))
         if robot.springs:
@@ -73,7 +75,7 @@ class World:
         links = {loop.frame_a: LINKS_SHARE for loop in robot.closures if loop.frame_a in lengths}
         machine = replace(
             machine,
-            waviness=waves_that_close(robot, GuideWaviness.random(len(robot.actuated_joints), generator)),
+            waviness=_waves_that_close(robot, GuideWaviness.random(len(robot.actuated_joints), generator)),
             thermal=ThermalGrowth(errors.fixed_bearings, members=links),
         )
         return cls(machine, _WARMEST)
@@ -152,3 +154,13 @@ class World:
             rises = np.repeat(conditions[TEMPERATURE][:, None], commands.shape[1], axis=1)
             surroundings = replace(surroundings, temperature_rises=rises)
         return replace(surroundings, wrenches=wrenches_of(conditions, self.machine.nominal, len(commands)))
+
+
+def _waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
+    """Return waves without those with which the loops cannot close, such as out of the plane of a planar robot."""
+    if not robot.closures or not waves.straightness:
+        return waves
+    across = GeometricErrors(robot, beside_guideways(robot))
+    closing = iter(np.isin(across.names, closable(across).names))
+    kept = [[wave if next(closing) else () for wave in pair] for pair in waves.straightness]
+    return replace(waves, straightness=tuple((first, second) for first, second in kept))

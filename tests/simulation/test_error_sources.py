@@ -23,7 +23,7 @@ from pm3dof_pin.errors.waviness import GuideWaviness, Wave
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.simulation.simulated_machine import Conditions, GeometricSource, SimulatedMachine, with_all_parameters
+from pm3dof_pin.simulation.simulated_machine import Conditions, GeometricSource, SimulatedMachine, _with_all_parameters
 
 HOME = [0.240272] * 3
 
@@ -65,7 +65,7 @@ def _machine(errors: GeometricErrors, seed: int = 7) -> SimulatedMachine:
 
 
 def test_the_truth_has_six_errors_at_every_joint(tripod_errors: GeometricErrors) -> None:
-    truth = with_all_parameters(tripod_errors)
+    truth = _with_all_parameters(tripod_errors)
     assert len(truth) == len(GeometricErrors(tripod_errors.robot))
     assert set(truth.tolerances) == {1e-4, 5e-4}
 
