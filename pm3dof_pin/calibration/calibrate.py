@@ -19,9 +19,8 @@ from pm3dof_pin.calibration.fit import Fit, Method, fit
 from pm3dof_pin.calibration.fit import Options as Options
 from pm3dof_pin.calibration.folder import summary_of, write_calibration
 from pm3dof_pin.calibration.held_out import HeldOut, held_out_errors, validated_errors
-from pm3dof_pin.calibration.pictures import calibration_pictures
 from pm3dof_pin.calibration.refusals import doubts, likely_cause, refusals
-from pm3dof_pin.calibration.report import report_as_html
+from pm3dof_pin.calibration.report import calibration_pictures, report_as_html
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors, workspace_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
@@ -67,16 +66,7 @@ class Calibration(Fit):
 
     def report(self) -> str:
         """Return the report as one HTML page that holds its pictures; equal calibrations give equal bytes."""
-        return report_as_html(
-            self,
-            self.summary()["robot"],
-            self.pictures(),
-            self.held_out,
-            self.validation,
-            self.workspace_errors,
-            self.refusals,
-            self.expectation,
-        )
+        return report_as_html(self, self.summary(), self.pictures(), self.workspace_errors)
 
     def summary(self) -> dict[str, Any]:
         """Return method and results as plain data, as in calibration.yaml; keys end in their unit."""

@@ -26,7 +26,7 @@ from pm3dof_pin.calibration.calibrated_urdf import write_calibrated_robot
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.expectation import Expectation
 from pm3dof_pin.calibration.fit import Fit
-from pm3dof_pin.calibration.held_out import HeldOut, statistics
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.calibration.scatter import Scatter
@@ -40,6 +40,20 @@ _SUMMARY = "calibration.yaml"
 _COMPENSATION = "compensation.json"
 MEASUREMENTS = "measurements.csv"
 REPORT = "report.html"
+
+ACCURACIES = {
+    "tip_error_before_m": "as described",
+    "tip_error_after_m": "corrected",
+    "tip_error_floor_m": "best commands (floor)",
+    "tip_noise_m": "measurement noise",
+    "excess_joint_error_m": "corrected minus best commands",
+    "excess_joint_error_rad": "corrected minus best commands [µrad]",
+    "excess_joint_error_m_rad": "corrected minus best commands [µm, µrad]",
+    "energy_before_m": "E of (8.15), as described",
+    "energy_after_m": "E of (8.15), corrected",
+    "energy_floor_m": "E of (8.15), best commands (floor)",
+}
+"""Errors of held-out poses, by their keys in the summary, in words."""
 
 _ISO_9283 = ("pose", "visits", "accuracy_AP_m", "repeatability_RP_m")
 _SUMS = "SHA256SUMS"
@@ -164,18 +178,26 @@ def _expectation_summary(expectation: Expectation) -> dict[str, Any]:
 
 
 def _held_out_summary(errors: HeldOut, excess: str) -> dict[str, Any]:
-    kinds = {
-        "tip_error_before_m": errors.before,
-        "tip_error_after_m": errors.after,
-        "tip_error_floor_m": errors.floor,
-        "tip_noise_m": errors.noise,
-        excess: errors.excess,
-        **dict(zip(("energy_before_m", "energy_after_m", "energy_floor_m"), errors.energies, strict=True)),
+    kinds = (errors.before, errors.after, errors.floor, errors.noise, errors.excess, *errors.energies)
+    keys = [key for key in ACCURACIES if key == excess or not key.startswith("excess")]
+    named: dict[str, Any] = {
+        key: {"mean": np.mean(values), "percentile_95": np.percentile(values, 95.0), "max": np.max(values)}
+        for key, values in zip(keys, kinds, strict=True)
+        if np.isfinite(values).all()
     }
-    named: dict[str, Any] = {name: statistics(values) for name, values in kinds.items() if np.isfinite(values).all()}
+    named = {key: {name: float(value) for name, value in numbers.items()} for key, numbers in named.items()}
     if errors.excess_interval is not None and excess in named:
         named[excess]["rms_95_percent_interval"] = list(errors.excess_interval)
     return {"poses": len(errors.after)} | named | {"within_95_percent_bound": errors.within}
+
+
+def accuracy_rows(errors: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the rows of a table of held-out errors, an entry of the summary: mean, 95th percentile, maximum [µm]."""
+    return {
+        text: [f"{1e6 * errors[key][name]:.1f}" for name in ("mean", "percentile_95", "max")]
+        for key, text in ACCURACIES.items()
+        if key in errors
+    }
 
 
 def _compensation_as_json(compensation: Compensation, urdf: str) -> str:

@@ -206,12 +206,3 @@ def _together(calibration: Fit, rows: Indices, scores: _Scores, scatter: Scatter
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
     interval = excess_interval(scores.effects, sure, scores.control) if calibration.scatters else None
     return HeldOut(rows, before, after, floor, noise, excess, interval, scatter, within, np.array(energies))
-
-
-def statistics(values: Array) -> dict[str, float]:
-    """Return mean, 95th percentile and maximum."""
-    return {
-        "mean": float(np.mean(values)),
-        "percentile_95": float(np.percentile(values, 95.0)),
-        "max": float(np.max(values)),
-    }

@@ -6,18 +6,27 @@ import base64
 import io
 from collections.abc import Mapping, Sequence
 from html import escape
+from typing import Any
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
 
 from pm3dof_pin.calibration.elastic_term import STIFFNESS_SIGMA
-from pm3dof_pin.calibration.expectation import Expectation
 from pm3dof_pin.calibration.fit import Fit
-from pm3dof_pin.calibration.held_out import HeldOut, statistics
+from pm3dof_pin.calibration.folder import ACCURACIES, accuracy_rows
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
-from pm3dof_pin.figures.style import house_style
+from pm3dof_pin.figures.color_scale import color_scale
+from pm3dof_pin.figures.labels import axis_label, parameter_words
+from pm3dof_pin.figures.outlined_mesh import draw_map, outlined_mesh
+from pm3dof_pin.figures.style import COLORMAP, INK, TWO_COLUMNS, house_style, new_figure
 
+_BEFORE, _AFTER, _FLOOR, _NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okabe and Ito
+
+_MICROMETRES = 1e6
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60em; margin: 2em auto; padding: 0 1em; }
 table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em; border-bottom: 1px solid #ddd; }
@@ -43,28 +52,25 @@ _METHODS = {
 
 
 def report_as_html(
-    calibration: Fit,
-    robot: str,
-    pictures: Mapping[str, Figure],
-    held_out: HeldOut | None,
-    validation: HeldOut | None,
-    maps: WorkspaceErrors | None,
-    refusals: Sequence[str],
-    expectation: Expectation,
+    calibration: Fit, summary: Mapping[str, Any], pictures: Mapping[str, Figure], maps: WorkspaceErrors | None
 ) -> str:
-    """Return the report of a calibration, with its pictures; identical calibrations give identical bytes."""
-    options, found = calibration.options, calibration.identification
+    """Return the report of a calibration with its summary and pictures; identical calibrations give identical bytes."""
+    options, found, robot = calibration.options, calibration.identification, escape(summary["robot"])
+    lines = {"To expect": "what_to_expect", "Not seen": "what_was_not_seen", "To do next": "what_to_do_next"}
     of_validation, of_held_out = (pictures.get(f"tip_error_{kind}") for kind in ("validation", "held_out"))
     parts = [
-        f"<h1>Calibration of {escape(robot)}</h1>",
-        *(f"<p><b>Written with --force, although {escape(reason)}.</b></p>" for reason in refusals),
-        *_expectation(expectation),
+        f"<h1>Calibration of {robot}</h1>",
+        *(
+            f"<p><b>Written with --force, although {escape(reason)}.</b></p>"
+            for reason in summary.get("forced_against", ())
+        ),
+        "<p>" + "<br>".join(f"<b>{name}:</b> {escape(summary[key])}." for name, key in lines.items()) + "</p>",
         f"<p>{len(calibration.measurements)} measurements ({found.measurements.measured}s), method "
         f"<b>{options.method}</b>: {_METHODS[options.method]}. Tip errors weigh rotations by {options.eta:g} m/rad. "
         f"Seed {options.seed}.</p>",
-        *([] if validation is None else _accuracy(calibration, validation, of_validation, *_VALIDATION)),
-        *_accuracy(calibration, held_out, of_held_out, *_CROSS_VALIDATION),
-        *_budget(expectation),
+        *([] if "validation" not in summary else _accuracy(summary, "validation", of_validation, *_VALIDATION)),
+        *_accuracy(summary, "held_out", of_held_out, *_CROSS_VALIDATION),
+        *_budget(summary),
         *_data(calibration, pictures["residuals"]),
     ]
     if maps is not None:
@@ -79,7 +85,7 @@ def report_as_html(
     body = "\n".join(parts)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f"<title>Calibration of {escape(robot)}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+        f"<title>Calibration of {robot}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
 
 
@@ -104,12 +110,8 @@ def _data(calibration: Fit, residuals: Figure) -> list[str]:
     return ["<h2>Measurements</h2>", f"<ul>{listed}</ul>", _image(residuals, "residual of each measurement")]
 
 
-def _expectation(found: Expectation) -> list[str]:
-    lines = (("To expect", found.text), ("Not seen", found.not_seen), ("To do next", found.next))
-    return ["<p>" + "<br>".join(f"<b>{name}:</b> {escape(text)}." for name, text in lines) + "</p>"]
-
-
-def _budget(expectation: Expectation) -> list[str]:
+def _budget(summary: Mapping[str, Any]) -> list[str]:
+    budget = summary["uncertainty_budget_m"]
     words = {
         "floor": "not correctable by commands",
         "instrument": "instrument noise",
@@ -120,71 +122,63 @@ def _budget(expectation: Expectation) -> list[str]:
         "unmodelled": "unmodelled effects",
         "repeatability": "repeatability",
     }
-    rows = [(words[name], f"{1e6 * value:.1f}") for name, value in expectation.budget.items()]
-    total = float(np.sqrt(sum(value**2 for value in expectation.budget.values())))
+    rows = [(words[name], f"{1e6 * value:.1f}") for name, value in budget.items()]
+    total = float(np.sqrt(sum(value**2 for value in budget.values())))
     parts = [
         "<h2>Sources of the remaining error</h2>",
         "<p>Contributions to the tip error of the corrected machine, root mean square over the workspace; squares add "
         "up.</p>",
         _table(("source", "tip error [µm]"), [*rows, ("total", f"{1e6 * total:.1f}")]),
     ]
-    for found in expectation.systematic:
-        chance = "significant" if found.sure else "not significant"
+    for kind in ("drift", "hysteresis"):
+        if kind in summary:
+            size, sigma = (1e6 * summary[kind][key] for key in ("tip_error_m", "tip_sigma_m"))
+            chance = "significant" if summary[kind]["more_than_chance"] else "not significant"
+            parts.append(
+                f"<p>{kind.capitalize()}: {size:.1f} ± {sigma:.1f} µm at the tip, {chance}. It is removed from the "
+                "identification, not corrected.</p>"
+            )
+    if (repeated := summary.get("repeatability")) is not None:
         parts.append(
-            f"<p>{found.kind.capitalize()}: {1e6 * found.tip:.1f} ± {1e6 * found.tip_sigma:.1f} µm at the tip, "
-            f"{chance}. It is removed from the identification, not corrected.</p>"
+            f"<p>Repeated poses: the machine deviates from its mean by {1e6 * repeated['tip_sigma_m']:.1f} µm at the "
+            f"tip (rms, without noise; {repeated['degrees_of_freedom']} degrees of freedom).</p>"
         )
-    repeated = expectation.repeated
-    if repeated is not None:
-        parts.append(
-            f"<p>Repeated poses: the machine deviates from its mean by {1e6 * repeated.tip_sigma:.1f} µm at the tip "
-            f"(rms, without noise; {repeated.freedom} degrees of freedom).</p>"
-        )
-        if len(repeated.poses):
-            columns = (repeated.poses + 1, repeated.visits, 1e6 * repeated.accuracy, 1e6 * repeated.repeatability)
-            numbers = [
-                (f"{pose:.0f}", f"{visits:.0f}", f"{accuracy:.1f}", f"{spread:.1f}")
-                for pose, visits, accuracy, spread in zip(*columns, strict=True)
-            ]
+        if table := repeated["iso_9283"]:
             header = ("pose", "visits", "accuracy AP [µm]", "repeatability RP [µm]")
+            numbers = [
+                [f"{row['pose']}", f"{row['visits']}"]
+                + [f"{1e6 * row[key]:.1f}" for key in ("accuracy_AP_m", "repeatability_RP_m")]
+                for row in table
+            ]
             parts += ["<p>As in ISO 9283, uncorrected, noise included:</p>", _table(header, numbers)]
     return parts
 
 
-def _accuracy(calibration: Fit, held_out: HeldOut | None, picture: Figure | None, title: str, text: str) -> list[str]:
-    heading = f"<h2>{title}</h2>"
-    if held_out is None or picture is None:
+def _accuracy(summary: Mapping[str, Any], kind: str, picture: Figure | None, title: str, text: str) -> list[str]:
+    heading, errors = f"<h2>{title}</h2>", summary.get(kind)
+    if errors is None or picture is None:
         return [heading, "<p>Unknown: too few poses for a cross-validation.</p>"]
-    units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
-    joint_unit = ", ".join(f"µ{unit}" for unit in units)
-    rows = [
-        ("as described", held_out.before),
-        ("corrected", held_out.after),
-        ("best commands: floor", held_out.floor),
-        ("measurement noise", held_out.noise),
-        (f"corrected minus best commands, expected, each joint [{joint_unit}]", held_out.excess),
-    ]
-    kinds = ("as described", "corrected", "best commands: floor")
-    rows += [(f"E of (8.15), {kind}", values) for kind, values in zip(kinds, held_out.energies, strict=True)]
-    rows = [(name, values) for name, values in rows if np.isfinite(values).all()]
-    numbers = [(name, *(f"{1e6 * number:.1f}" for number in statistics(values).values())) for name, values in rows]
     interval = ""
-    if held_out.excess_interval is not None:
-        low, high = (1e6 * value for value in held_out.excess_interval)
-        interval = f"<p>For this machine, corrected minus best commands have a root mean square of {low:.1f} to "
-        interval += f"{high:.1f} {joint_unit} with a probability of 95 %, given the finite number of poses.</p>"
+    for key, entry in errors.items():
+        if key in ACCURACIES and "rms_95_percent_interval" in entry:
+            low, high = (1e6 * value for value in entry["rms_95_percent_interval"])
+            units = ", ".join(f"µ{unit}" for unit in key.removeprefix("excess_joint_error_").split("_"))
+            interval = f"<p>For this machine, corrected minus best commands have a root mean square of {low:.1f} to "
+            interval += f"{high:.1f} {units} with a probability of 95 %, given the finite number of poses.</p>"
     return [
         heading,
         f"<p>{text} Tip errors are in µm, as measured, and all include noise. The floor remains with the best "
         "possible commands: with fewer drives than degrees of freedom of a pose, commands cannot correct everything. "
-        "E, the energy of the pose error, adds position and weighted rotation instead of their squares; the best "
-        "commands are best for the tip error.</p>",
-        _table(("tip error [µm]", "mean", "95 %", "max"), numbers),
+        "Corrected minus best commands is the expected difference of each joint. E, the energy of the pose error, adds "
+        "position and weighted rotation instead of their squares; the best commands are best for the tip error.</p>",
+        _table(
+            ("tip error [µm]", "mean", "95 %", "max"), [[name, *row] for name, row in accuracy_rows(errors).items()]
+        ),
         interval,
         _image(picture, "share of held-out poses below a tip error"),
-        f"<p>{100.0 * held_out.within:.0f} % of the 95 % prediction intervals contain the measurement. In addition to "
-        f"noise, {1e6 * calibration.compensation.scatter.tip_error:.1f} µm (rms) of the tip error are "
-        "unexplained.</p>",
+        f"<p>{100.0 * errors['within_95_percent_bound']:.0f} % of the 95 % prediction intervals contain the "
+        f"measurement. In addition to noise, {1e6 * summary['unexplained_tip_error_m']:.1f} µm (rms) of the tip error "
+        "are unexplained.</p>",
     ]
 
 
@@ -236,3 +230,117 @@ def _image(figure: Figure, text: str) -> str:
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     return f'<p><img alt="{escape(text)}" src="data:image/svg+xml;base64,{data}"></p>'
+
+
+def calibration_pictures(
+    calibration: Fit,
+    held_out: HeldOut | None = None,
+    maps: WorkspaceErrors | None = None,
+    *,
+    validation: HeldOut | None = None,
+) -> dict[str, Figure]:
+    """Return the pictures of a calibration's report, by file name."""
+    found = calibration.identification
+    pictures = {} if validation is None else {"tip_error_validation": _held_out_picture(validation)}
+    if held_out is not None:
+        pictures["tip_error_held_out"] = _held_out_picture(held_out)
+    pictures["residuals"] = _residuals_picture(found)
+    if maps is not None:
+        pictures["workspace"] = _workspace_picture(maps)
+    if calibration.compensation.values is not None:
+        pictures["parameters"] = _parameters_picture(found)
+    return pictures
+
+
+def _held_out_picture(held_out: HeldOut) -> Figure:
+    """Draw the share of held-out poses with tip errors below a value: before, after, floor, noise."""
+    curves = (
+        ("as described", held_out.before, _BEFORE, "-"),
+        ("corrected", held_out.after, _AFTER, "-"),
+        ("best commands (floor)", held_out.floor, _FLOOR, "--"),
+        ("measurement noise", held_out.noise, _NOISE, ":"),
+    )
+    with house_style():
+        figure = new_figure(TWO_COLUMNS, 3.2)
+        figure.set_layout_engine("constrained")
+        axes = figure.subplots()
+        for label, values, color, line in curves:
+            ordered = np.sort(values) * _MICROMETRES
+            share = np.arange(1, len(ordered) + 1) / len(ordered)
+            axes.step(ordered, 100.0 * share, where="post", color=color, linestyle=line, label=label)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axes.minorticks_off()
+        axes.set_xlabel("tip error [µm]")
+        axes.set_ylabel("held-out poses below [%]")
+        axes.set_ylim(0.0, 102.0)
+        figure.legend(loc="outside upper center", ncols=4)
+    return figure
+
+
+def _parameters_picture(found: Identification) -> Figure:
+    """Draw the identified parameters with two standard deviations, in units of their tolerances."""
+    values = found.values / found.errors.tolerances
+    spread = np.minimum(found.sigmas / found.errors.tolerances, found.prior)
+    places = np.arange(len(values))[::-1]
+    with house_style():
+        figure = new_figure(TWO_COLUMNS, 1.2 + 0.17 * len(values))
+        figure.set_layout_engine("constrained")
+        axes = figure.subplots()
+        axes.axvspan(-1.0, 1.0, color="#EEEEEE", zorder=0)
+        axes.axvline(0.0, color=INK, linewidth=0.7)
+        axes.errorbar(values, places, xerr=2.0 * spread, fmt="o", markersize=3.0, color=_AFTER, ecolor=_NOISE)
+        axes.set_yticks(places, [parameter_words(name) for name in found.errors.names], fontsize=7.0)
+        axes.set_ylim(-1.0, len(values))
+        axes.set_xlabel("value ± two standard deviations, relative to the tolerance")
+    return figure
+
+
+def _residuals_picture(found: Identification) -> Figure:
+    """Draw the residual of every measurement in units of its sigma, with outliers marked."""
+    size = np.sqrt(np.mean(found.normalized_residuals**2, axis=1))
+    outliers = np.zeros(len(size), dtype=bool)
+    outliers[list(found.outliers)] = True
+    lines = np.array(found.measurements.lines)
+    with house_style():
+        figure = new_figure(TWO_COLUMNS, 2.6)
+        figure.set_layout_engine("constrained")
+        axes = figure.subplots()
+        axes.axhline(1.0, color=_NOISE, linestyle=":", label="noise as stated")
+        axes.plot(lines[~outliers], size[~outliers], "o", markersize=3.0, color=_AFTER, label="measurement")
+        if outliers.any():
+            axes.plot(lines[outliers], size[outliers], "x", color=_BEFORE, label="outlier")
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axes.minorticks_off()
+        axes.set_xlabel("line of the file")
+        axes.set_ylabel("residual [sigma]")
+        figure.legend(loc="outside upper center", ncols=3)
+    return figure
+
+
+def _workspace_picture(errors: WorkspaceErrors) -> Figure:
+    """Draw maps of the tip error before and after, and of the floor if known, with a common colour scale."""
+    fields = [errors.before, errors.after, *([] if errors.floor is None else [errors.floor])]
+    scale = color_scale(_MICROMETRES * np.stack(fields))
+    meshes = [outlined_mesh(*errors.coordinates, np.isfinite(field), errors.within) for field in fields]
+    with house_style():
+        figure = new_figure(TWO_COLUMNS, 2.6)
+        figure.set_layout_engine("constrained", wspace=0.04)
+        row: Any = figure.subplots(1, len(fields), sharex=True, sharey=True)
+        for axes, title, field, mesh in zip(
+            row, ("as described", "corrected, expected", "best commands (floor)"), fields, meshes, strict=False
+        ):
+            draw_map(axes, mesh, _MICROMETRES * mesh.values(field), scale, errors.units)
+            axes.set_title(title)
+            axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+            axes.set_xlabel(axis_label(errors.names[0], errors.units[0]))
+            if errors.units[0] == errors.units[1]:
+                axes.set_aspect("equal")
+        row[0].set_ylabel(axis_label(errors.names[1], errors.units[1]))
+        bar = figure.colorbar(ScalarMappable(scale.norm(), COLORMAP), ax=row, extend=scale.extend, pad=0.01)
+        bar.set_label("tip error [µm]")
+        scale.label(bar)
+    return figure

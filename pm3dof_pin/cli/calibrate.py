@@ -118,6 +118,8 @@ def _warnings_as_messages() -> Iterator[None]:
 
 
 def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
+    from pm3dof_pin.calibration.folder import ACCURACIES, accuracy_rows
+
     found = calibration.identification
     known, named = found.identifiability, []
     if len(found.nuisances):
@@ -140,24 +142,11 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
             lines.append(f"{kind} moved the tool by {size:.0f} ± {sigma:.0f} µm (tip error, rms)")
     if summary.get("validation") is None and summary.get("held_out") is None:
         return [*lines, "too few poses for a cross-validation"]
-    names = {
-        "tip_error_before_m": "as described",
-        "tip_error_after_m": "corrected",
-        "tip_error_floor_m": "best commands (floor)",
-        "tip_noise_m": "measurement noise",
-        "excess_joint_error_m": "corrected minus best commands",
-        "excess_joint_error_rad": "corrected minus best commands [µrad]",
-        "excess_joint_error_m_rad": "corrected minus best commands [µm, µrad]",
-    }
     for kind, words in (("validation", "poses of the validation"), ("held_out", "held-out poses")):
         if kind in summary:
-            rows = [
-                [text, *(f"{1e6 * summary[kind][key][name]:.1f}" for name in ("mean", "percentile_95", "max"))]
-                for key, text in names.items()
-                if key in summary[kind]
-            ]
+            rows = [[text, *row] for text, row in accuracy_rows(summary[kind]).items() if not text.startswith("E of")]
             lines += table_lines([f"{words}, tip error [µm]", "mean", "95 %", "max"], rows)
-            for key, text in names.items():
+            for key, text in ACCURACIES.items():
                 if (between := summary[kind].get(key, {}).get("rms_95_percent_interval")) is not None:
                     low, high = (1e6 * value for value in between)
                     lines.append(f"{text}, rms of this machine: {low:.1f} to {high:.1f} with 95 % probability")

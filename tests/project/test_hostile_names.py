@@ -96,8 +96,10 @@ def test_the_page_of_the_viewer() -> None:
 def test_the_report_of_a_calibration(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     measured = Measurements.of_poses(tripod_nominal.commands[:12], tripod_nominal.transforms[:12])
     calibration = calibrate(measured, tripod_errors, "lm", on_refusal="keep")
-    parts = (calibration.pictures(), None, None, None, (), calibration.expectation)
-    harmless, report = (_Tags(report_as_html(calibration, name, *parts)) for name in ("arm", ALL))
+    summary, pictures = calibration.summary(), calibration.pictures()
+    harmless, report = (
+        _Tags(report_as_html(calibration, summary | {"robot": name}, pictures, None)) for name in ("arm", ALL)
+    )
     assert report.tags == harmless.tags
     assert report.words == harmless.words.replace("Calibration of arm", f"Calibration of {ALL}")
 
