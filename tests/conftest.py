@@ -13,7 +13,6 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -160,12 +159,12 @@ def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Omit the pictures of a calibration report and most poses of its maps, which take half of its time."""
     from matplotlib.figure import Figure
 
-    from pm3dof_pin.calibration import calibrate, report
+    from pm3dof_pin.calibration import calibrate, report, workspace_errors
 
     names = ("tip_error_validation", "tip_error_held_out", "residuals", "workspace", "parameters")
     monkeypatch.setattr(calibrate, "calibration_pictures", lambda *_, **__: dict.fromkeys(names, Figure()))
     monkeypatch.setattr(report, "_image", lambda figure, text: f"<p>{text}</p>")
-    monkeypatch.setattr(calibrate, "workspace_errors", partial(calibrate.workspace_errors, points=7))
+    monkeypatch.setattr(workspace_errors, "_POINTS", 7)
 
 
 @pytest.fixture(scope="module")

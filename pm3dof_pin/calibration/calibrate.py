@@ -18,10 +18,10 @@ from pm3dof_pin.calibration.expectation import Expectation
 from pm3dof_pin.calibration.fit import Fit, Method, fit
 from pm3dof_pin.calibration.fit import Options as Options
 from pm3dof_pin.calibration.folder import summary_of, write_calibration
-from pm3dof_pin.calibration.held_out import HeldOut, held_out_errors, validated_errors
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.refusals import doubts, likely_cause, refusals
 from pm3dof_pin.calibration.report import calibration_pictures, report_as_html
-from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors, workspace_errors
+from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import (
@@ -58,7 +58,7 @@ class Calibration(Fit):
     @cached_property
     def workspace_errors(self) -> WorkspaceErrors | None:
         """Tip errors before and after over two coordinates; None without two coordinates that have ranges."""
-        return workspace_errors(self)
+        return WorkspaceErrors.from_fit(self)
 
     def pictures(self) -> dict[str, Figure]:
         """Draw the pictures of the report, by file name."""
@@ -162,7 +162,7 @@ def calibrate(
     try:
         fitted = fit(seen, errors, options)
         report_progress(1, 4)
-        held_out = held_out_errors(fitted) if fitted.can_be_judged else None
+        held_out = HeldOut.from_cross_validation(fitted) if fitted.can_be_judged else None
         if held_out is not None:
             fitted = fitted.with_scatter(held_out.scatter)
         against = refusals(fitted, held_out)
@@ -177,7 +177,7 @@ def calibrate(
     further = [] if against else list(doubts(fitted, seen))
     judged = None
     if others is not None:
-        judged = validated_errors(fitted, others)
+        judged = HeldOut.from_validation(fitted, others)
         further += judged.notes
         if judged.within < _WITHIN:
             further.append(

@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 _BANNER = '<?xml version="1.0"?>\n<!-- {name} with {count} calibrated geometric parameters. -->\n'
 
 
-def calibrated_urdf(errors: GeometricErrors, values: ArrayLike | Mapping[str, float], urdf: Path | str) -> str:
+def _calibrated_urdf(errors: GeometricErrors, values: ArrayLike | Mapping[str, float], urdf: Path | str) -> str:
     """Return a robot's URDF with geometric parameters p, all or by name, applied to its joints at full precision.
 
     Actuator offsets go into the origins too, so commands keep their meaning.
@@ -62,7 +62,8 @@ def write_calibrated_robot(
     described.
 
     Raises:
-        DescriptionError: see :func:`calibrated_urdf`, or the robot was not read from files.
+        DescriptionError: a parameter's place is neither a joint nor a link at the end of a fixed joint, with an
+            origin.
         OutputError: a file cannot be written.
     """
     robot, folder = errors.robot, Path(directory)
@@ -72,7 +73,7 @@ def write_calibrated_robot(
     paths = {suffix: write_text_atomically(folder / f"{name}{suffix}", text) for suffix, text in texts.items()}
     target, closures, srdf = (paths.get(suffix) for suffix in (".urdf", CLOSURES_SUFFIX, ".srdf"))
     assert target is not None
-    write_text_atomically(target, calibrated_urdf(errors, values, target))
+    write_text_atomically(target, _calibrated_urdf(errors, values, target))
     if stiffness and closures is not None:
         entries = read_mapping(closures)
         entries["springs"] = stiffened_entries(entries.get("springs", ()), stiffness)

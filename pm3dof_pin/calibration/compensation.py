@@ -9,7 +9,7 @@ correction is iterated.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import frozen, real_array
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.learned_part import LearnedPart
-from pm3dof_pin.calibration.scatter import COVERAGE, Scatter, rms_interval
+from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses, weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -35,7 +35,7 @@ from pm3dof_pin.exceptions import (
 from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
-from pm3dof_pin.measuring.wrenches import is_wrench, without_deflections, wrenches_of
+from pm3dof_pin.measuring.wrenches import is_wrench, wrenches_of
 from pm3dof_pin.typing import Array, Indices, OnFailure
 
 Conditions = Mapping[str, Array | float]
@@ -114,7 +114,9 @@ class Compensation:
         if wrenches is None:
             return measurements
         poses = self.model_poses(self.errors.robot.forward(measurements.commands))
-        return without_deflections(measurements, poses, self._by_spring(poses, wrenches).sum(axis=1))
+        unloaded = measurements.without_motions(poses, self._by_spring(poses, wrenches).sum(axis=1))
+        others = {name: values for name, values in measurements.conditions.items() if not is_wrench(name)}
+        return replace(unloaded, conditions=others)
 
     def with_usual_conditions(self, given: Conditions) -> dict[str, Array | float]:
         """Fill in missing conditions with the middle of the measured range.
@@ -327,7 +329,7 @@ class Compensation:
             return None
         nearest = self._nearest(wanted, self.model_poses(wanted), {}, "nan")
         left, _ = self._left_over(wanted, nearest, {})
-        return rms_interval(left, self.standard_effects(nearest), self.scatter, weighted_control(nearest, self.eta))
+        return self.scatter.rms_interval(left, self.standard_effects(nearest), weighted_control(nearest, self.eta))
 
     def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
         """Return the covariance of predicted poses, without the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from pm3dof_pin.calibration.caution import Gain, cautious
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.identification import PRIOR, Identification, identify, prior_from_data
+from pm3dof_pin.calibration.identification import PRIOR, Identification, identify
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_model
 from pm3dof_pin.calibration.linearisation import Loss
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
@@ -143,7 +143,7 @@ def fit(
     prior = PRIOR if options.prior is None else options.prior
     identification = identify(measurements, errors, prior=prior, loss=options.loss)
     if options.prior is None:
-        prior, error = prior_from_data(identification)
+        prior, error = identification.likely_prior()
         shown, start = identification.measurements, identification
         identification = identify(shown, errors, prior=prior, prior_error=error, loss=options.loss, start=start)
     options = replace(options, prior=identification.prior)

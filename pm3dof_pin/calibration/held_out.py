@@ -11,7 +11,7 @@ from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.fit import MIN_POSES, Fit, compensation_from
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
-from pm3dof_pin.calibration.scatter import COVERAGE, Scatter, excess_interval
+from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, weighted_energy
@@ -59,60 +59,60 @@ class HeldOut:
     energies: Array
     notes: tuple[str, ...] = ()
 
+    @classmethod
+    def from_cross_validation(cls, calibration: Fit) -> HeldOut:
+        """Judge a calibration by cross-validation: the same method, fitted to four fifths of the poses at a time.
 
-def held_out_errors(calibration: Fit) -> HeldOut:
-    """Judge a calibration by cross-validation: the same method, fitted to four fifths of the poses at a time.
+        Measurements at the same commands, of several targets or repeated, are held out together. The instrument's
+        frame and the targets' offsets come from the remaining measurements.
 
-    Measurements at the same commands, of several targets or repeated, are held out together. The instrument's frame and
-    the targets' offsets come from the remaining measurements.
+        Raises:
+            InvalidValueError: too few poses.
+        """
+        options, errors = calibration.options, calibration.compensation.errors
+        whole, rows = calibration.identification, calibration.identification.trusted
+        measurements = calibration.measurements[rows]
+        numbers = measurements.pose_numbers
+        count = int(numbers.max(initial=-1)) + 1
+        if count <= MIN_POSES:
+            raise InvalidValueError(
+                "measurements", problem=f"have {count} poses", expected=f"more than {MIN_POSES} for a cross-validation"
+            )
+        folds = np.random.default_rng(options.seed).permutation(np.arange(count) % min(_FOLDS, count))[numbers]
+        parts, starts = [], []
+        for fold in range(int(folds.max()) + 1):
+            shown, hidden = np.flatnonzero(folds != fold), np.flatnonzero(folds == fold)
+            found = identify(
+                measurements[shown],
+                errors,
+                prior=whole.prior,
+                prior_error=whole.prior_error,
+                loss=options.loss,
+                nuisances=whole.nuisances,
+                start=whole,
+            )
+            compensation = compensation_from(found.settled, errors, options, found if options.identifies else None)
+            part = measurements[hidden]
+            parts.append(_scores_of(compensation, found.settle(part), calibration.compensation))
+            starts.append(hidden[part.first_rows])
+        units = [command.unit for command in errors.robot.commands]
+        scores = _Scores.joined(parts)[np.argsort(np.concatenate(starts))].that_show_the_tool()
+        seen = (scores.missed, scores.covariances, scores.shown, scores.control, units)
+        return _together(calibration, rows, scores, Scatter.of(*seen), Scatter.of(*seen, least=1.0))
 
-    Raises:
-        InvalidValueError: too few poses.
-    """
-    options, errors = calibration.options, calibration.compensation.errors
-    whole, rows = calibration.identification, calibration.identification.trusted
-    measurements = calibration.measurements[rows]
-    numbers = measurements.pose_numbers
-    count = int(numbers.max(initial=-1)) + 1
-    if count <= MIN_POSES:
-        raise InvalidValueError(
-            "measurements", problem=f"have {count} poses", expected=f"more than {MIN_POSES} for a cross-validation"
-        )
-    folds = np.random.default_rng(options.seed).permutation(np.arange(count) % min(_FOLDS, count))[numbers]
-    parts, starts = [], []
-    for fold in range(int(folds.max()) + 1):
-        shown, hidden = np.flatnonzero(folds != fold), np.flatnonzero(folds == fold)
-        found = identify(
-            measurements[shown],
-            errors,
-            prior=whole.prior,
-            prior_error=whole.prior_error,
-            loss=options.loss,
-            nuisances=whole.nuisances,
-            start=whole,
-        )
-        compensation = compensation_from(found.settled, errors, options, found if options.identifies else None)
-        part = measurements[hidden]
-        parts.append(_scores_of(compensation, found.settle(part), calibration.compensation))
-        starts.append(hidden[part.first_rows])
-    units = [command.unit for command in errors.robot.commands]
-    scores = _Scores.joined(parts)[np.argsort(np.concatenate(starts))].that_show_the_tool()
-    seen = (scores.missed, scores.covariances, scores.shown, scores.control, units)
-    return _together(calibration, rows, scores, Scatter.of(*seen), Scatter.of(*seen, least=1.0))
+    @classmethod
+    def from_validation(cls, calibration: Fit, measurements: Measurements) -> HeldOut:
+        """Judge a calibration by other measurements, in base axes or from an instrument with its own frame.
 
-
-def validated_errors(calibration: Fit, measurements: Measurements) -> HeldOut:
-    """Judge a calibration by other measurements, in base axes or from an instrument with its own frame.
-
-    The frame is the identified one, or if the instrument has clearly moved, one found from these alone.
-    """
-    measurements, notes = _of_their_own_station(calibration, measurements)
-    settled = calibration.identification.settle(measurements)
-    compensation = calibration.compensation
-    scores = _scores_of(compensation, settled, compensation)
-    scatter = compensation.scatter
-    found = _together(calibration, np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
-    return replace(found, notes=notes)
+        The frame is the identified one, or if the instrument has clearly moved, one found from these alone.
+        """
+        measurements, notes = _of_their_own_station(calibration, measurements)
+        settled = calibration.identification.settle(measurements)
+        compensation = calibration.compensation
+        scores = _scores_of(compensation, settled, compensation)
+        scatter = compensation.scatter
+        found = _together(calibration, np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
+        return replace(found, notes=notes)
 
 
 def _of_their_own_station(calibration: Fit, measurements: Measurements) -> tuple[Measurements, tuple[str, ...]]:
@@ -204,5 +204,5 @@ def _together(calibration: Fit, rows: Indices, scores: _Scores, scatter: Scatter
     spread = scores.covariances + scores.shown @ scatter.covariances(scores.control) @ scores.shown
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
-    interval = excess_interval(scores.effects, sure, scores.control) if calibration.scatters else None
+    interval = sure.excess_interval(scores.effects, scores.control) if calibration.scatters else None
     return HeldOut(rows, before, after, floor, noise, excess, interval, scatter, within, np.array(energies))

@@ -233,36 +233,35 @@ class Identification:
         drives = tool_motions_by_drives(poses)
         return self.nuisances.removed(measurements, poses, drives, self.nuisance_values)
 
+    def likely_prior(self) -> tuple[float, float]:
+        """Return the most likely k, the parameters' typical error in units of tolerances, and its relative error.
 
-def prior_from_data(found: Identification) -> tuple[float, float]:
-    """Return the most likely k, the parameters' typical error in units of tolerances, and its relative error.
-
-    k maximises the likelihood of the measurements (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g, with x the
-    parameters in tolerances, identified with a generous prior, and g the effective number of them that the data
-    determine. The tolerances' own value, k = 1, counts as much as some of these. k is at most that of the
-    identification. The relative standard error of a standard deviation from so many is 1 / sqrt(2 (g + some)).
-    """
-    count = len(found.errors)
-    measuring = found.rows[:, :, count:]
-    scaled = np.sqrt(found.weights)[:, None, None] / found.noise_factors[:, None]
-    blocks = (scaled * found.rows[:, :, :count]).reshape(-1, count)
-    if measuring.shape[2]:
-        others = (scaled * measuring).reshape(len(blocks), -1)
-        blocks = blocks - others @ np.linalg.lstsq(others, blocks, rcond=REGRESSOR_TOLERANCE)[0]
-    values, axes = np.linalg.eigh(blocks.T @ blocks)
-    values = np.maximum(values, 0.0)
-    most = found.prior if np.isfinite(found.prior) else PRIOR
-    k, effective = most, 0.0
-    # the least-squares solution along each axis, from the one with the prior
-    start = axes.T @ (found.values / found.errors.tolerances)
-    pulled = start * (values + (0.0 if np.isinf(found.prior) else 1.0 / found.prior**2))
-    for _ in range(_MAX_STEPS):
-        x = pulled / (values + 1.0 / k**2)
-        effective = float(np.sum(values / (values + 1.0 / k**2)))
-        previous, k = k, min(float(np.sqrt((np.sum(x**2) + _BELIEVED) / (effective + _BELIEVED))), most)
-        if abs(k - previous) < 1e-3:
-            break
-    return k, float(1.0 / np.sqrt(2.0 * (effective + _BELIEVED)))
+        k maximises the likelihood of the measurements (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g, with
+        x the parameters in tolerances, identified with a generous prior, and g the effective number of them that the
+        data determine. The tolerances' own value, k = 1, counts as much as some of these. k is at most that of the
+        identification. The relative standard error of a standard deviation from so many is 1 / sqrt(2 (g + some)).
+        """
+        count = len(self.errors)
+        measuring = self.rows[:, :, count:]
+        scaled = np.sqrt(self.weights)[:, None, None] / self.noise_factors[:, None]
+        blocks = (scaled * self.rows[:, :, :count]).reshape(-1, count)
+        if measuring.shape[2]:
+            others = (scaled * measuring).reshape(len(blocks), -1)
+            blocks = blocks - others @ np.linalg.lstsq(others, blocks, rcond=REGRESSOR_TOLERANCE)[0]
+        values, axes = np.linalg.eigh(blocks.T @ blocks)
+        values = np.maximum(values, 0.0)
+        most = self.prior if np.isfinite(self.prior) else PRIOR
+        k, effective = most, 0.0
+        # the least-squares solution along each axis, from the one with the prior
+        start = axes.T @ (self.values / self.errors.tolerances)
+        pulled = start * (values + (0.0 if np.isinf(self.prior) else 1.0 / self.prior**2))
+        for _ in range(_MAX_STEPS):
+            x = pulled / (values + 1.0 / k**2)
+            effective = float(np.sum(values / (values + 1.0 / k**2)))
+            previous, k = k, min(float(np.sqrt((np.sum(x**2) + _BELIEVED) / (effective + _BELIEVED))), most)
+            if abs(k - previous) < 1e-3:
+                break
+        return k, float(1.0 / np.sqrt(2.0 * (effective + _BELIEVED)))
 
 
 def identify(

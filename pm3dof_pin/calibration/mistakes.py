@@ -156,7 +156,7 @@ def _points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[
     shift = np.zeros(3)
     for _ in range(_STEPS):  # distances are not linear in it
         moved = measurements.with_points(measurements.points + shift)
-        shift = shift + explained_by(moved, nominal, eta, datum_motions(nominal)[:, :, 6:9])
+        shift = shift + _explained_by(moved, nominal, eta, datum_motions(nominal)[:, :, 6:9])
     shifted = replace(measurements.with_points(measurements.points + shift), tool_point_sigma=_POINT_SIGMA)
     words = f"about ({_millimetres(shift)}) mm from where the file has it, in the tool's axes"
     yield Mistake(f"the point seen is {words}", shifted)
@@ -205,7 +205,7 @@ def _counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterato
         """Fit amounts of command changes, shape=(n, drives, k); return them and the corrected measurements."""
         poses, found = nominal, np.zeros(changes.shape[2])
         for _ in range(_STEPS):
-            found = found + explained_by(measurements, poses, eta, command_jacobians(poses) @ changes)
+            found = found + _explained_by(measurements, poses, eta, command_jacobians(poses) @ changes)
             poses = nominal.robot.forward(commands + changes @ found, guess=poses.q)
         return found, replace(measurements, commands=commands + changes @ found)
 
@@ -256,7 +256,7 @@ def _change(measurements: Measurements, nominal: Poses, eta: float, what: str, c
     return Mistake(text, moved, lambda rows, poses: _change(rows, poses, eta, what, columns).corrected)
 
 
-def explained_by(measurements: Measurements, poses: Poses, eta: float, motions: Array) -> Array:
+def _explained_by(measurements: Measurements, poses: Poses, eta: float, motions: Array) -> Array:
     """Fit amounts of given tool motions, shape=(n, 6, k), to the measurements by robust least squares.
 
     The base may be anywhere if the instrument has a frame of its own.

@@ -80,7 +80,7 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedPoses:
+class _PlannedPoses:
     """Candidates or test poses, and the effects of a machine's errors there."""
 
     map: ErrorMap  #: the error map over them
@@ -91,7 +91,7 @@ class PlannedPoses:
     inputs: Array
 
     @classmethod
-    def under(cls, sensitivity_map: ErrorMap, wrenches: Array | None) -> PlannedPoses:
+    def under(cls, sensitivity_map: ErrorMap, wrenches: Array | None) -> _PlannedPoses:
         """Pair poses with wrenches on the tool, shape=(m, 6), cycling through the wrenches if m differs."""
         poses, weights = sensitivity_map.poses, tip_weights(sensitivity_map.eta)[:, None]
         robot, errors = poses.robot, sensitivity_map.errors
@@ -175,7 +175,7 @@ class PlanningProblem:
         self._rows = np.concatenate([self.regressor, self.nuisance_regressor], axis=2)
         candidate_map = error_map(errors, candidates, eta=eta)
         tests = candidate_map if test_poses is None else error_map(errors, test_poses, eta=eta)
-        self.measured, self.tested = (PlannedPoses.under(each, wrenches) for each in (candidate_map, tests))
+        self.measured, self.tested = (_PlannedPoses.under(each, wrenches) for each in (candidate_map, tests))
         # base and tool are as the measurements define them
         datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
         effects = np.concatenate([self.tested.effects, datum * tip_weights(eta)[:, None]], axis=2)

@@ -130,7 +130,7 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
             f"the residuals left by the parameters, {1e3 * left:.3g} mm (median), are larger than the machine could be "
             f"off, {1e3 * expected:.3g} mm; noise factor {found.noise_factor:.3g}"
         )
-    elif (size := strain(calibration)) > STRAIN:
+    elif (size := _strain(calibration)) > STRAIN:
         reasons.append(
             f"the best-fitting parameters are {size * prior:.3g} tolerances (root mean square) from the description: "
             "another machine, or another frame"
@@ -183,7 +183,7 @@ def _left_over(calibration: Fit) -> float:
     return float(np.median(np.linalg.norm(seen.errors, axis=1)))
 
 
-def strain(calibration: Fit) -> float:
+def _strain(calibration: Fit) -> float:
     """Return how far the parameters are from the description, in units of their prior standard deviations.
 
     Root mean square over the combinations that the measurements determine.

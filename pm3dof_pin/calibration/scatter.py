@@ -125,6 +125,43 @@ class Scatter:
         squares = np.array([np.sum(part**2) for part in parts]) / len(gains)
         return float(squares @ self.uncertainty @ squares)
 
+    def rms_interval(
+        self, fixed: Array, effects: Array, control: Array, gains: Array | None = None
+    ) -> tuple[float, float]:
+        """Return the interval that holds the root mean square with the probability :data:`COVERAGE`.
+
+        Args:
+            fixed: m, shape=(n, k).
+            effects: E, effects of one standard deviation in each direction of the parameters, shape=(n, k, directions).
+            control: tip-weighted motion of the tool by the drives' joints, which the scatter depends on, shape=(n, 6,
+                drives).
+            gains: G, shape=(n, k, 6); None for the tip-weighted error itself, k = 6.
+        """
+        count = len(fixed)
+        gains = np.broadcast_to(np.eye(6), (count, 6, 6)) if gains is None else gains
+        flat, known = np.concatenate(effects) / np.sqrt(count), fixed.ravel() / np.sqrt(count)
+        product, scattered = flat.T @ flat, np.einsum("nij,njk,nik->", gains, self.covariances(control), gains) / count
+        mean = float(known @ known + np.trace(product) + scattered)
+        variance = 2.0 * np.sum(product**2) + 4.0 * np.sum((known @ flat) ** 2)
+        variance += self.mean_square_variance(gains, control)
+        freedom = 2.0 * mean**2 / float(variance)
+        low, high = np.sqrt(2.0 * mean * scipy.special.gammaincinv(0.5 * freedom, _PROBABILITIES) / freedom).tolist()
+        return low, high
+
+    def excess_interval(self, effects: Array, control: Array) -> tuple[float, float] | None:
+        """Return the interval of the commands' difference from the best ones, over poses and drives' joints [m, rad].
+
+        None without directions, or near a singular pose, where commands can be far off and hardly move the tool.
+
+        Args:
+            effects: effects on the tip-weighted error, shape=(n, 6, directions) [m].
+            control: tip-weighted motion by the drives' joints, shape=(n, 6, drives).
+        """
+        gains = control_inverse(control) / np.sqrt(control.shape[2])
+        if not effects.size or np.linalg.matrix_rank(gains).min() < control.shape[2]:
+            return None
+        return self.rms_interval(np.zeros(gains.shape[:2]), gains @ effects, control, gains)
+
 
 def _variances(products: Array, known: Array, shown: Array, parts: Array) -> tuple[Array, Array]:
     """Return the amount of each part in the products of errors beyond the known part, and its covariance."""
@@ -140,44 +177,3 @@ def _variances(products: Array, known: Array, shown: Array, parts: Array) -> tup
         if np.abs(variances - last).max() <= _SETTLED * variances.max():
             break
     return variances, 2.0 * np.linalg.inv(information)
-
-
-def rms_interval(
-    fixed: Array, effects: Array, scatter: Scatter, control: Array, gains: Array | None = None
-) -> tuple[float, float]:
-    """Return the interval that holds the root mean square with the probability :data:`COVERAGE`.
-
-    Args:
-        fixed: m, shape=(n, k).
-        effects: E, effects of one standard deviation in each direction of the parameters, shape=(n, k, directions).
-        scatter: V.
-        control: tip-weighted motion of the tool by the drives' joints, which the scatter depends on, shape=(n, 6,
-            drives).
-        gains: G, shape=(n, k, 6); None for the tip-weighted error itself, k = 6.
-    """
-    count = len(fixed)
-    gains = np.broadcast_to(np.eye(6), (count, 6, 6)) if gains is None else gains
-    flat, known = np.concatenate(effects) / np.sqrt(count), fixed.ravel() / np.sqrt(count)
-    product, scattered = flat.T @ flat, np.einsum("nij,njk,nik->", gains, scatter.covariances(control), gains) / count
-    mean = float(known @ known + np.trace(product) + scattered)
-    variance = 2.0 * np.sum(product**2) + 4.0 * np.sum((known @ flat) ** 2)
-    variance += scatter.mean_square_variance(gains, control)
-    freedom = 2.0 * mean**2 / float(variance)
-    low, high = np.sqrt(2.0 * mean * scipy.special.gammaincinv(0.5 * freedom, _PROBABILITIES) / freedom).tolist()
-    return low, high
-
-
-def excess_interval(effects: Array, scatter: Scatter, control: Array) -> tuple[float, float] | None:
-    """Return the interval of the commands' difference from the best ones, over poses and drives' joints [m, rad].
-
-    None without directions, or near a singular pose, where commands can be far off and hardly move the tool.
-
-    Args:
-        effects: effects on the tip-weighted error, shape=(n, 6, directions) [m].
-        scatter: further scatter.
-        control: tip-weighted motion by the drives' joints, shape=(n, 6, drives).
-    """
-    gains = control_inverse(control) / np.sqrt(control.shape[2])
-    if not effects.size or np.linalg.matrix_rank(gains).min() < control.shape[2]:
-        return None
-    return rms_interval(np.zeros(gains.shape[:2]), gains @ effects, scatter, control, gains)

@@ -15,6 +15,8 @@ from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Mask
 
+_POINTS = 41  # along each coordinate
+
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceErrors:
@@ -39,45 +41,45 @@ class WorkspaceErrors:
     floor: Array | None
     within: Callable[[Array], Mask] | None = None
 
+    @classmethod
+    def from_fit(cls, calibration: Fit) -> WorkspaceErrors | None:
+        """Compute errors over the first two coordinates with ranges, at mean measured conditions; None without two."""
+        compensation = calibration.compensation
+        robot = compensation.errors.robot
+        grid = section_grid(robot, points=_POINTS)
+        if grid is None or len(grid.dims) < 2:
+            return None
+        poses = robot.solve(grid, on_failure="nan")
+        within = poses.within_limits
+        conditions = {name: float(values.mean()) for name, values in calibration.measurements.conditions.items()}
+        used = () if compensation.learned is None else compensation.learned.inputs.conditions
+        known = {name: conditions[name] for name in used}
+        expected = compensation.compensate(poses[within], known, on_failure="nan").predicted_error
+        # near singular poses the machine may not reach as far as its description
+        taken = np.isfinite(expected) & compensation.model_poses(poses[within], "nan").solved
+        inside = tuple(indices[taken] for indices in np.nonzero(within))
+        nominal, expected = poses[inside], expected[taken]
+        seen = compensation.poses(nominal, conditions).transforms
 
-def workspace_errors(calibration: Fit, points: int = 41) -> WorkspaceErrors | None:
-    """Compute errors over the first two coordinates with ranges, at mean measured conditions; None without two."""
-    compensation = calibration.compensation
-    robot = compensation.errors.robot
-    grid = section_grid(robot, points=points)
-    if grid is None or len(grid.dims) < 2:
-        return None
-    poses = robot.solve(grid, on_failure="nan")
-    within = poses.within_limits
-    conditions = {name: float(values.mean()) for name, values in calibration.measurements.conditions.items()}
-    used = () if compensation.learned is None else compensation.learned.inputs.conditions
-    known = {name: conditions[name] for name in used}
-    expected = compensation.compensate(poses[within], known, on_failure="nan").predicted_error
-    # near singular poses the machine may not reach as far as its description
-    taken = np.isfinite(expected) & compensation.model_poses(poses[within], "nan").solved
-    inside = tuple(indices[taken] for indices in np.nonzero(within))
-    nominal, expected = poses[inside], expected[taken]
-    seen = compensation.poses(nominal, conditions).transforms
+        def spread(values: Array) -> Array:
+            field = np.full(grid.shape, np.nan)
+            field[inside] = values
+            return field
 
-    def spread(values: Array) -> Array:
-        field = np.full(grid.shape, np.nan)
-        field[inside] = values
-        return field
-
-    floor = None
-    if compensation.values is not None:
-        nearest = nearest_poses(nominal, seen, compensation.eta, on_failure="nan").transforms
-        floor = spread(tip_error(pose_difference(nearest, seen), compensation.eta))
-    first, second = grid.dims
-    return WorkspaceErrors(
-        (first, second),
-        (robot.coordinate(first).unit, robot.coordinate(second).unit),
-        (grid.axes[first], grid.axes[second]),
-        spread(tip_error(pose_difference(nominal.transforms, seen), compensation.eta)),
-        spread(expected),
-        floor,
-        _within(robot, grid),
-    )
+        floor = None
+        if compensation.values is not None:
+            nearest = nearest_poses(nominal, seen, compensation.eta, on_failure="nan").transforms
+            floor = spread(tip_error(pose_difference(nearest, seen), compensation.eta))
+        first, second = grid.dims
+        return cls(
+            (first, second),
+            (robot.coordinate(first).unit, robot.coordinate(second).unit),
+            (grid.axes[first], grid.axes[second]),
+            spread(tip_error(pose_difference(nominal.transforms, seen), compensation.eta)),
+            spread(expected),
+            floor,
+            _within(robot, grid),
+        )
 
 
 def _within(robot: Robot, grid: Grid) -> Callable[[Array], Mask]:

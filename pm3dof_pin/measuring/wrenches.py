@@ -1,14 +1,12 @@
-"""Known wrenches on the tool, when measured or at work: their columns, and measurements without their effect."""
+"""Known wrenches on the tool, when measured or at work: their columns."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
-from pm3dof_pin.kinematics.robot import Poses, Robot
-from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array
 
 WRENCH_COLUMNS = ("load_fx_N", "load_fy_N", "load_fz_N", "load_mx_Nm", "load_my_Nm", "load_mz_Nm")
@@ -34,11 +32,3 @@ def wrenches_of(conditions: Mapping[str, Array | float], robot: Robot, count: in
     down = gravity / size if size > 0.0 else np.array([0.0, 0.0, -1.0])
     wrenches[:, :3] += np.multiply.outer(np.broadcast_to(conditions.get(WEIGHT_COLUMN, 0.0), count), down)
     return wrenches
-
-
-def without_deflections(measurements: Measurements, poses: Poses, displacements: Array) -> Measurements:
-    """Return measurements minus displacements [translation; rotation vector] from unloaded poses, without wrenches."""
-    return replace(
-        measurements.without_motions(poses, displacements),
-        conditions={name: values for name, values in measurements.conditions.items() if not is_wrench(name)},
-    )

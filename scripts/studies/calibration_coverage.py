@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.fit import SMOOTH, Options, fit
-from pm3dof_pin.calibration.held_out import held_out_errors
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.refusals import refusals
 from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
@@ -170,7 +170,7 @@ def one(case: Case, count: int) -> dict[str, object]:
     poses = pm.reachable_poses(errors.robot, count, generator)
     rows, truly = measured(machine, poses.commands, setup, generator, poses)
     calibration = fit(rows, errors, Options(method))  # type: ignore[arg-type]
-    judged = held_out_errors(calibration)
+    judged = HeldOut.from_cross_validation(calibration)
     calibration = calibration.with_scatter(judged.scatter)
     base, tool = placed(calibration.identification, setup, truly)
     sides = generator.choice([-1.0, 1.0], (TESTS, poses.commands.shape[1]))

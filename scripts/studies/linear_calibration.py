@@ -15,10 +15,10 @@ import numpy as np
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.caution import Gain
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
-from pm3dof_pin.calibration.identification import PRIOR, Identification, prior_from_data
+from pm3dof_pin.calibration.identification import PRIOR, Identification
 from pm3dof_pin.calibration.linearisation import Linearisation, tool_motions_by_drives
 from pm3dof_pin.calibration.pseudo_error import control_inverse, seen_errors
-from pm3dof_pin.calibration.scatter import Scatter, excess_interval, rms_interval
+from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
@@ -101,7 +101,7 @@ def identified(station: Station, measurements: Measurements) -> Identification:
             measurements = measurements.in_moved_base(known[frame])
             known[frame] = 0.0
         if prior == PRIOR:
-            prior, error = prior_from_data(found)
+            prior, error = found.likely_prior()
     return replace(found, measurements=measurements, nuisance_values=known)
 
 
@@ -148,7 +148,7 @@ class Correction:
         moved = np.einsum("nij,nj->ni", station.control, change)
         spread = self.covariances(station) + scatter.covariances(station.control)
         expected = np.sqrt(np.sum((error + moved) ** 2, axis=1) + np.einsum("nii->n", spread))
-        rms = rms_interval(error + moved, self.standard_effects(station), scatter, station.control)
+        rms = scatter.rms_interval(error + moved, self.standard_effects(station), station.control)
         return moved, expected, norm_quantiles(error + moved, spread, 0.95), rms
 
 
@@ -178,5 +178,5 @@ def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, 
     scatter, sure = Scatter.of(*given), Scatter.of(*given, least=1.0)
     gains = control_inverse(station.control)
     spread = correction.covariances(station) + sure.covariances(station.control)
-    interval = excess_interval(correction.standard_effects(station), sure, station.control)
+    interval = sure.excess_interval(correction.standard_effects(station), station.control)
     return scatter, np.einsum("nij,njk,nik->ni", gains, spread, gains), interval or (np.nan, np.nan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.fit import Fit, Options, fit
-from pm3dof_pin.calibration.held_out import held_out_errors
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, placement
@@ -214,7 +215,7 @@ def test_a_row_half_a_metre_off_is_no_more_than_an_outlier(
     positions[7, 2] *= 1000.0  # millimetres
     found = fit(replace(some, positions=positions), tripod_errors, Options("lm+gp"))
     assert found.identification.outliers == (7,)
-    assert 7 not in held_out_errors(found).rows
+    assert 7 not in HeldOut.from_cross_validation(found).rows
 
 
 def test_measurements_in_another_frame_are_refused(measured: Measurements, tripod_errors: GeometricErrors) -> None:
@@ -223,7 +224,7 @@ def test_measurements_in_another_frame_are_refused(measured: Measurements, tripo
 
 
 def test_cross_validation_tells_before_after_and_floor(measured: Measurements, tripod_errors: GeometricErrors) -> None:
-    held_out = held_out_errors(calibration_from(measured, tripod_errors, "lm+gp"))
+    held_out = HeldOut.from_cross_validation(calibration_from(measured, tripod_errors, "lm+gp"))
     assert len(held_out.rows) == 60
     assert np.all(held_out.floor <= held_out.before + 1e-9)
     assert held_out.floor.mean() < held_out.after.mean() < 1.2 * held_out.floor.mean() < held_out.before.mean()
@@ -246,7 +247,7 @@ def test_too_few_and_out_of_reach(measured: Measurements, tripod_errors: Geometr
     with pytest.raises(InvalidValueError, match="at least 4"):
         fit(measured[:3], tripod_errors, Options("gp"))
     with pytest.raises(InvalidValueError, match="more than 4 for a cross-validation"):
-        held_out_errors(fit(measured[:4], tripod_errors, Options("lm")))
+        HeldOut.from_cross_validation(fit(measured[:4], tripod_errors, Options("lm")))
     with pytest.raises(InvalidValueError, match="one of lm, nn, gp"):
         Options("svm")  # type: ignore[arg-type]
     with pytest.raises(UnreachablePoseError):
@@ -257,7 +258,9 @@ def test_too_few_poses_are_said(
     measured: Measurements, tripod_errors: GeometricErrors, caplog: pytest.LogCaptureFixture
 ) -> None:
     fit(measured[:5], tripod_errors, Options("lm"))
-    assert "5 measurements give 30 equations for 40 parameters, too few: 28 combinations are identified" in caplog.text
+    said = re.search(r"5 measurements give 30 equations for 40 parameters, too few: (\d+) combinations", caplog.text)
+    assert said is not None
+    assert 0 < int(said[1]) < 28  # the rank of five poses
 
 
 def test_three_targets_are_as_good_as_poses(
@@ -314,16 +317,16 @@ def test_tilts_that_positions_do_not_show_are_expected_to_be_off(
     whole, blind = (calibration_from(rows, tripod_errors, "lm") for rows in (measured, positions))
     commands = (found.compensation.corrected(wanted, middle) for found in (whole, blind))
     off = np.sqrt(np.mean(np.subtract(*commands) ** 2))
-    assert 0.5 * off < np.sqrt(np.mean(held_out_errors(blind).excess ** 2)) < 2.0 * off
-    assert np.isnan(held_out_errors(fit(positions[:15], tripod_errors, Options("gp"))).excess).all()
+    assert 0.5 * off < np.sqrt(np.mean(HeldOut.from_cross_validation(blind).excess ** 2)) < 2.0 * off
+    assert np.isnan(HeldOut.from_cross_validation(fit(positions[:15], tripod_errors, Options("gp"))).excess).all()
 
 
 def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod_errors: GeometricErrors) -> None:
     """A pose measured twice must not be predicted from its own copy: only distinct poses are evaluated."""
     twice = measured[[*range(5), *range(5)]]
     assert not fit(twice, tripod_errors, Options("lm")).can_be_judged
-    once = held_out_errors(fit(measured[:12], tripod_errors, Options("lm", loss="squares")))
-    again = held_out_errors(fit(measured[[*range(12)] * 2], tripod_errors, Options("lm", loss="squares")))
+    once = HeldOut.from_cross_validation(fit(measured[:12], tripod_errors, Options("lm", loss="squares")))
+    again = HeldOut.from_cross_validation(fit(measured[[*range(12)] * 2], tripod_errors, Options("lm", loss="squares")))
     np.testing.assert_allclose(again.after[:12], again.after[12:], rtol=1e-9)
     assert again.after.mean() > 0.8 * once.after.mean()
 
@@ -336,7 +339,7 @@ def test_near_singular_poses_of_an_arm_do_not_spoil_the_judgement(serial_arm: Ro
     commands = generator.uniform(-2.0, 2.0, (40, 6))
     commands[::8, 4] = 1e-3  # straight
     found = fit(arm.measure(commands, generator), errors, Options("lm"))
-    held_out = held_out_errors(found)
+    held_out = HeldOut.from_cross_validation(found)
     assert np.median(held_out.floor) < 1e-6
     assert np.median(held_out.after) < 2.0 * np.median(held_out.noise)
     assert np.all(held_out.after < 1.1 * held_out.before)

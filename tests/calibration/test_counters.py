@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pm3dof_pin.calibration.fit import Options, fit
-from pm3dof_pin.calibration.held_out import held_out_errors
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.description.coordinates import Command
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
@@ -28,7 +28,7 @@ def _calibrated(robot: Robot) -> tuple[Measurements, np.ndarray, np.ndarray, np.
     measured = world.measure(poses.commands, np.random.default_rng(5))
     calibration = fit(measured, errors, Options(method="lm"))
     answer = calibration.compensation.compensate(poses[:10])
-    judged = held_out_errors(calibration)
+    judged = HeldOut.from_cross_validation(calibration)
     return measured, (answer.commands - answer.nominal_commands) / scales, judged.excess, judged.floor
 
 

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, multivariate_normal
 
-from pm3dof_pin.calibration.identification import PRIOR, Identification, identify, prior_from_data
+from pm3dof_pin.calibration.identification import PRIOR, Identification, identify
 from pm3dof_pin.calibration.linearisation import Linearisation
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -231,7 +231,7 @@ def test_the_prior_from_data_is_the_most_likely_one(true: float) -> None:
         return 2.0 * (np.log(k**2) + k**-2) - multivariate_normal.logpdf(seen, cov=covariance)
 
     wanted = minimize_scalar(unlikely, bounds=(0.05, PRIOR), method="bounded").x
-    k, error = prior_from_data(found)  # type: ignore[arg-type]
+    k, error = Identification.likely_prior(found)  # type: ignore[arg-type]
     assert k == pytest.approx(wanted, abs=0.01)
     # of a standard deviation from as many parameters as the trace of the hat matrix says, and four
     told = np.trace(design @ np.linalg.solve(design.T @ design + np.eye(30) / wanted**2, design.T))

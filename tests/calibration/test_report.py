@@ -8,7 +8,6 @@ import json
 import re
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +15,10 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from pm3dof_pin.calibration import calibrate as door
+from pm3dof_pin.calibration import workspace_errors
 from pm3dof_pin.calibration.calibrate import Calibration, calibrate
 from pm3dof_pin.calibration.folder import read_compensation
 from pm3dof_pin.calibration.held_out import HeldOut
-from pm3dof_pin.calibration.workspace_errors import workspace_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import energy as pose_energy
 from pm3dof_pin.exceptions import DescriptionError, OutputError
@@ -36,7 +34,7 @@ def calibration(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Calibr
     world = World.random("everything", tripod_errors, np.random.default_rng(0))
     measured = world.measure(tripod_nominal.commands[:20], np.random.default_rng(1))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(door, "workspace_errors", partial(workspace_errors, points=7))
+        patch.setattr(workspace_errors, "_POINTS", 7)
         found = calibrate(measured, tripod_errors)
         assert found.workspace_errors is not None
     return found
@@ -146,7 +144,7 @@ def test_the_same_bytes_again(
     tripod_errors: GeometricErrors,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(door, "workspace_errors", partial(workspace_errors, points=7))
+    monkeypatch.setattr(workspace_errors, "_POINTS", 7)
     again = calibrate(calibration.measurements, tripod_errors).save(tmp_path / "again")
     files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     assert files == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.scatter import Scatter, excess_interval, rms_interval
+from pm3dof_pin.calibration.scatter import Scatter
 
 POSES, DRIVES = 50, 3
 
@@ -16,7 +16,7 @@ def test_an_interval_holds_for_95_percent_of_machines(size: float, everywhere: l
     effects = generator.standard_normal((POSES, 6, 8)) * np.geomspace(1.0, 0.05, 8)
     fixed, control = size * generator.standard_normal((POSES, 6)), generator.standard_normal((POSES, 6, DRIVES))
     scatter = Scatter(np.array(everywhere), np.full(DRIVES, everywhere[0]), alike=np.ones(DRIVES))
-    low, high = rms_interval(fixed, effects, scatter, control)
+    low, high = scatter.rms_interval(fixed, effects, control)
     parameters = generator.standard_normal((1000, 8))
     scattered = np.sqrt(np.repeat(everywhere, 3)) * generator.standard_normal((1000, POSES, 6))
     by_drives = np.sqrt(everywhere[0]) * generator.standard_normal((1000, POSES, DRIVES))
@@ -29,7 +29,7 @@ def test_an_interval_holds_for_95_percent_of_machines(size: float, everywhere: l
 def test_commands_are_off_by_what_drives_undo() -> None:
     """One parameter that moves the tool as the first drive does: half a normal distribution, over three drives."""
     control = np.tile(np.eye(6)[:, :DRIVES], (POSES, 1, 1))
-    interval = excess_interval(control[:, :, :1], Scatter(), control)
+    interval = Scatter().excess_interval(control[:, :, :1], control)
     assert interval is not None
     low, high = interval
     assert low == pytest.approx(0.03134 / np.sqrt(DRIVES), rel=1e-3)  # the 2.5 and 97.5 % points of |x|
@@ -39,4 +39,4 @@ def test_commands_are_off_by_what_drives_undo() -> None:
 def test_nothing_is_said_near_singular_poses() -> None:
     control = np.tile(np.eye(6)[:, :DRIVES], (POSES, 1, 1))
     control[7, :, 2] *= 1e-3
-    assert excess_interval(control, Scatter(), control) is None
+    assert Scatter().excess_interval(control, control) is None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import re
 import sys
-from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import matplotlib.image
 import pytest
 
-from pm3dof_pin.calibration import calibrate
+from pm3dof_pin.calibration import workspace_errors
 from pm3dof_pin.figures import outlined_mesh, style
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
@@ -65,7 +64,7 @@ def test_script(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], m
     if name not in IN_FULL:
         monkeypatch.setattr(style, "DPI", 100)
         monkeypatch.setattr(outlined_mesh, "_CELLS", 30)
-        monkeypatch.setattr(calibrate, "workspace_errors", partial(calibrate.workspace_errors, points=7))
+        monkeypatch.setattr(workspace_errors, "_POINTS", 7)
     script = _load(name)
     if name == "studies/plan_study":
         small = {

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.calibration.fit import Options, fit
-from pm3dof_pin.calibration.held_out import held_out_errors
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.kinematics.robot import Poses
@@ -84,7 +84,7 @@ def test_a_calibration_is_as_good_from_anywhere(
     # the base is found, except for errors that move everything alike
     np.testing.assert_allclose(elsewhere.registration.base, BASE.homogeneous, atol=5e-3)
     excess = [
-        np.sqrt(np.mean(held_out_errors(fit(measured, tripod_errors, Options("lm"))).excess ** 2))
+        np.sqrt(np.mean(HeldOut.from_cross_validation(fit(measured, tripod_errors, Options("lm"))).excess ** 2))
         for measured in (at_base, elsewhere)
     ]
     assert excess[1] < 1.2 * excess[0]
