@@ -80,6 +80,9 @@ def write_calibrated_robot(
         write_text_atomically(closures, yaml.safe_dump(entries, sort_keys=False, width=120))
     if srdf is not None:
         write_text_atomically(srdf, _closed_again(srdf, Robot.load(target)))
+    declared = errors.file or (None if robot.files is None else robot.files.errors)
+    if declared is not None and declared.is_file():
+        write_text_atomically(folder / f"{name}.errors.yaml", declared.read_text(encoding="utf-8"))
     return target
 
 
