@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.chapter.chapter_stiffness import chapter_diagonal
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, OnFailure
@@ -38,7 +37,7 @@ def pinocchio_stiffness(robot: Robot, tripod: Tripod, poses: ArrayLike, *, on_fa
     link, travel = (np.full((*solved.shape, tripod.leg_count, 3), np.nan) for _ in range(2))
     for index in zip(*np.nonzero(solved.solved), strict=True):
         configuration = Configuration(robot, solved.q[index])
-        if configuration.closure_residual > CLOSURE_TOLERANCE:
+        if configuration.closure_residual > robot.closure_tolerance:
             raise ConvergenceError(f"{robot.name}: closing the loops", configuration.closure_residual, "m or rad", 0)
         link[index], travel[index] = _jacobians(configuration, tripod.leg_count)
     return chapter_diagonal(tripod, np.asarray(poses, dtype=float)[..., 2], link, travel, on_failure=on_failure)

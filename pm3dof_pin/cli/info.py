@@ -28,6 +28,7 @@ from pm3dof_pin.kinematics.assemblies import assembled_homes
 from pm3dof_pin.kinematics.branches import branches_of, start_of
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import CLOSED, RANK_GAP
 
 _CLOSED = 1e-6  # greatest residual of a closed loop [m or rad]
 
@@ -169,6 +170,7 @@ def _closures(robot: Robot) -> dict[str, Any]:
         ],
         "closure_residual": home.closure_residual,
         "home_closure_residual": home.closure_residual,
+        "closure_tolerance": robot.closure_tolerance,
         "tool_frame": robot.tool_frame,
         "home_tool_position_m": home.tool_placement.translation if robot.tool_frame is not None else None,
     }
@@ -176,7 +178,10 @@ def _closures(robot: Robot) -> dict[str, Any]:
 
 def _mobility(robot: Robot) -> dict[str, Any]:
     """Count degrees of freedom at home; all None if the loops are open."""
-    keys = ("mobility", "tool_mobility", "redundant_constraints", "free_degrees_of_freedom", "idle_degrees_of_freedom")
+    keys = (
+        *("mobility", "tool_mobility", "redundant_constraints", "free_degrees_of_freedom", "idle_degrees_of_freedom"),
+        "rank_gap",
+    )
     try:
         dof = DegreesOfFreedom(robot.home)
     except InvalidValueError:
@@ -188,6 +193,7 @@ def _mobility(robot: Robot) -> dict[str, Any]:
         len(robot.home.closure_error) - dof.constraint_rank.rank,
         dof.count - dof.at_actuators.rank.rank,
         dof.count - dof.idle.rank.rank if has_tool else None,
+        gap if math.isfinite(gap := dof.constraint_rank.gap) else None,
     )
     return dict(zip(keys, counts, strict=True))
 
@@ -222,6 +228,13 @@ def _reach_line(result: dict[str, Any], robot: Robot) -> list[str]:
             f"; home is closed from a described one that is open by {result['described_home_closure_residual']:.2g}"
         )
     return [words]
+
+
+def _imprecision(robot: Robot) -> str:
+    usual = CLOSED * max(1.0, robot.characteristic_length)
+    if not robot.has_loops or robot.closure_tolerance <= usual:
+        return ""
+    return f"; they count as closed to {robot.closure_tolerance:.2g} m or rad, as far as the description closes them"
 
 
 def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool) -> None:
@@ -295,7 +308,7 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     """List what the description lacks and what to do about it."""
     remarks = []
     gaps = {f"{c['frame_a']}-{c['frame_b']}": c["residual"] for c in result["closures"]}
-    if still_open := {name: gap for name, gap in gaps.items() if not gap <= _CLOSED}:
+    if still_open := {name: gap for name, gap in gaps.items() if not gap <= max(_CLOSED, robot.closure_tolerance)}:
         listed = ", ".join(f"{name} by {gap:.3g} m or rad" for name, gap in still_open.items())
         remarks.append(
             f"loops are open at home: {listed}. They could not be closed from there, or in several ways: define a "
@@ -348,6 +361,8 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
     else:
         of_tool = f" ({result['tool_mobility']} of the tool)" if result["tool_mobility"] is not None else ""
         lines.append(f"mobility {result['mobility']}{of_tool}, {result['redundant_constraints']} redundant constraints")
+        if result["rank_gap"] is not None and result["rank_gap"] < RANK_GAP:
+            lines[-1] += f", a borderline count: singular values fall by {result['rank_gap']:.0f} only"
     lines += _reach_line(result, robot)
     lines += singularity_line(result["singularity_distances"])
     if result["tool_frame"] is not None:
@@ -357,7 +372,7 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
     couplings = ", ".join(coupling.name for coupling in robot.couplings)
     counted = ", ".join(f"{count} {group}" for group, count in (result["error_parameters"] or {}).items())
     lines += [
-        f"closures: {closures or 'none'}, residual at home {result['closure_residual']:.1e}",
+        f"closures: {closures or 'none'}, residual at home {result['closure_residual']:.1e}{_imprecision(robot)}",
         *([f"couplings: {couplings}"] if couplings else []),
         f"moving mass {result['moving_mass_kg']:.4f} kg, {result['springs']} springs",
         "many poses: compiled programs"

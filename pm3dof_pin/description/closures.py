@@ -136,6 +136,7 @@ class ClosuresFile:
     limit_groups: tuple[LimitGroup, ...] = ()  #: named groups of limits; empty if none are declared
     #: components of the tool's twist that make up its motion; empty for all
     tool_motions: tuple[ToolComponent, ...] = ()
+    closure_tolerance: float | None = None  #: largest closure error of closed loops [m, rad]; None for the usual one
 
 
 class SwingLimitSchema(Schema):
@@ -190,6 +191,7 @@ class ClosuresSchema(Schema):
     coordinates: list[CoordinateSchema] | None = None
     limit_groups: dict[Name, list[Name | int]] | None = None
     tool_motions: Annotated[list[ToolComponent], msgspec.Meta(min_length=1)] | None = None
+    closure_tolerance: Annotated[float, msgspec.Meta(gt=0.0, le=1e-2)] | None = None
 
 
 def read_closures(path: Path | str) -> ClosuresFile:
@@ -211,6 +213,7 @@ def read_closures(path: Path | str) -> ClosuresFile:
         couplings=tuple(_coupling(path, k, entry) for k, entry in enumerate(file.couplings or ())),
         actuated_joints=tuple(file.name_mot or [command.joint for command in commands]),
         tool_frame=file.tool_frame,
+        closure_tolerance=file.closure_tolerance,
         motion_coordinates=tuple(file.motion_coordinates or ()),
         springs=tuple(file.springs or ()),
         joint_types=dict(_pairs(path, "joint_name", file.joint_name, "joint_type", file.joint_type)),

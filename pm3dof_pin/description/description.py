@@ -290,6 +290,7 @@ class Description:
     limit_groups: tuple[LimitGroup, ...] = ()
     tool_frame: str | None = None
     tool_motions: tuple[ToolComponent, ...] = ()
+    closure_tolerance: float | None = None  #: largest closure error of closed loops [m, rad]; None for the usual one
     springs: tuple[Mapping[str, Any], ...] = ()  #: raw entries, not yet parsed
     #: joint coordinates by name of the configuration and joint; joints that are not named are at zero
     configurations: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)

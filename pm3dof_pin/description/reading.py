@@ -70,7 +70,10 @@ READERS: Mapping[str, Callable[[RobotFiles, bool], Description]] = MappingProxyT
 def _completed(description: Description, file: ClosuresFile) -> Description:
     """Return a description with the entries of a closures file."""
     description = _with_joint_types(description, file)
-    taken = ("motion_coordinates", "coordinates", "limit_groups", "tool_motions", "tool_frame", "actuated_joints")
+    taken = (
+        *("motion_coordinates", "coordinates", "limit_groups", "tool_motions", "tool_frame", "actuated_joints"),
+        "closure_tolerance",
+    )
     given = {name: value for name in taken if (value := getattr(file, name))}
     return replace(
         description,

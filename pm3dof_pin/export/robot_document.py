@@ -26,7 +26,6 @@ from pm3dof_pin.description.simple_joints import (
 )
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.meshes import Meshes
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.robot import LoadOptions, Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Vector
@@ -142,7 +141,7 @@ class RobotDocument:
     def home(self) -> Configuration:
         """The home configuration with its loops closed, for other tools; ConvergenceError if they do not close."""
         home = self.mechanism.home
-        return home if home.closure_residual <= CLOSURE_TOLERANCE else self.mechanism.assemble(home)
+        return home if home.closure_residual <= self.mechanism.closure_tolerance else self.mechanism.assemble(home)
 
     def home_position(self, joint: Joint) -> float:
         """Return the coordinate of a joint in the home configuration [m, rad]; 0 for a fixed joint."""

@@ -15,10 +15,8 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import angle_rates, rotation_of_angles, tool_components
+from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Indices, Matrix, Vector
-
-CLOSURE_TOLERANCE = 1e-12
-"""Largest residual of a closed loop [m, rad]."""
 
 _FIRST_DAMPING, _LEAST_DAMPING, _GREATEST_DAMPING = 1e-2, 1e-8, 1e12
 LONGEST_STEP = 0.5  # rad, or characteristic lengths: for longer steps the linear model of a rotation is poor
@@ -56,6 +54,7 @@ def assemble(
     joints: Mapping[str, ArrayLike] | None = None,
     tool: Mapping[ToolComponent, float] | None = None,
     max_steps: int = 100,
+    tolerance: float | None = None,
 ) -> Assembly:
     """Close the loops of a mechanism, with given joints or components of the tool's placement.
 
@@ -72,6 +71,7 @@ def assemble(
         joints: coordinates of joints to hold [m, rad]; shape=(joint's nq,) for a joint with several degrees of freedom.
         tool: components of the tool's placement in the base, x, y, z [m], rx, ry, rz [rad], R = Rx Ry Rz.
         max_steps: maximum number of iterations.
+        tolerance: largest residual of a closed loop [m, rad]; by default the mechanism's.
 
     Raises:
         InvalidValueError: an argument is not finite or of the wrong shape.
@@ -81,8 +81,9 @@ def assemble(
     start = mechanism.checked_positions(guess.q if isinstance(guess, Configuration) else guess)
     q, free = mechanism.place_joints(start, joints or {})
     equations = _Equations(mechanism, free, tool or {})
-    point, steps = _iterate(equations, equations.at(q), max_steps)
-    converged = point.residual <= CLOSURE_TOLERANCE
+    largest = mechanism.closure_tolerance if tolerance is None else tolerance
+    point, steps = _iterate(equations, equations.at(q), max_steps, min(largest, CLOSED))
+    converged = point.residual <= largest
     return Assembly(converged, steps, point.residual, mechanism, point.q, point.jacobian)
 
 
@@ -162,10 +163,10 @@ class _Equations:
         return error, jacobian[self._rows]
 
 
-def _iterate(equations: _Equations, point: _Point, max_steps: int) -> tuple[_Point, int]:
+def _iterate(equations: _Equations, point: _Point, max_steps: int, tolerance: float) -> tuple[_Point, int]:
     damping = _FIRST_DAMPING
     for step in range(max_steps):
-        was_closed = point.residual <= CLOSURE_TOLERANCE
+        was_closed = point.residual <= tolerance
         move = point.move(damping)
         left = point.error + point.jacobian @ move
         predicted = point.cost - float(left @ left)

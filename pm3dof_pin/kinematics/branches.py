@@ -24,7 +24,7 @@ import pinocchio as pin
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.exceptions import ConvergenceError, ProgramError, SingularConfigurationError
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, Assembly, assemble
+from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, LoopSystem, connected, split, stacked
@@ -243,7 +243,7 @@ def start_of(robot: PlacedMechanism) -> Vector:
     branches = branches_of(first)
     start, home = branches.start, robot.home
     if branches.start_is_home:
-        if home.closure_residual > CLOSURE_TOLERANCE:
+        if home.closure_residual > robot.closure_tolerance:
             raise not_closed(robot, assemble(robot, home))
         return home.q
     drives = {name: first.configuration(start).joint_position(name) for name in first.actuated_joints}
@@ -270,7 +270,7 @@ def _closed_nearby(
         ConvergenceError: the loops do not close at home, or hardly anywhere near it.
     """
     model, generator = robot.model, np.random.default_rng(seed)
-    if home.closure_residual > CLOSURE_TOLERANCE:
+    if home.closure_residual > robot.closure_tolerance:
         raise not_closed(robot, assemble(robot, home))
     rows: list[Vector] = []
     distance = _DISTANCE

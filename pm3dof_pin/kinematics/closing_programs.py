@@ -45,9 +45,9 @@ class BoundProgram(NamedTuple):
         """Evaluate the program at many poses, shape=(n, number of outputs)."""
         return self.compiled(inputs, self.parameters, out)
 
-    def walk(self, starts: Matrix, targets: Matrix, shortest: float) -> Walked:
+    def walk(self, starts: Matrix, targets: Matrix, shortest: float, tolerance: float) -> Walked:
         """Walk from starts to targets, see :meth:`~pm3dof_pin.programs.llvm.Compiled.walk`."""
-        return self.compiled.walk(starts, targets, self.parameters, shortest=shortest, threads=1)
+        return self.compiled.walk(starts, targets, self.parameters, shortest=shortest, tolerance=tolerance, threads=1)
 
     def iterate(self, inputs: Matrix, tolerance: float, max_steps: int) -> Iteration:
         """Repeat the program until its residual is small."""

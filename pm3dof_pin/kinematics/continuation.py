@@ -32,7 +32,6 @@ import numpy as np
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import PM3DofError
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
@@ -187,7 +186,7 @@ class Continuation:
         for starts in guesses:
             rows = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(numbers).all(axis=1))
             ends, moving = self._damped_ends(starts[rows], numbers[rows])
-            closed = self._residuals(ends, targets[rows]) <= CLOSURE_TOLERANCE
+            closed = self._residuals(ends, targets[rows]) <= self._robot.closure_tolerance
             undecided = ~closed & moving
             for k in np.flatnonzero(undecided):
                 result = assemble_at(self._robot, self._coordinates, targets[rows[k]], starts[rows[k]])
@@ -212,7 +211,7 @@ class Continuation:
         ends = np.array(inputs[:, :nq])
         near = np.flatnonzero(inputs[:, 2 * nq + 1] < NEARLY_CLOSED)
         inputs = self._inputs(ends[near], numbers[near])
-        ends[near] = self._step.iterate(inputs, CLOSURE_TOLERANCE, _LAST_STEPS).states[:, :nq]
+        ends[near] = self._step.iterate(inputs, self._robot.closure_tolerance, _LAST_STEPS).states[:, :nq]
         return ends, moving
 
     def _residuals(self, q: Matrix, targets: Matrix) -> Vector:
@@ -223,7 +222,7 @@ class Continuation:
 
     def _walked(self, q: Matrix, targets: Matrix, shortest: float = SHORTEST_LEG) -> Walked:
         """Walk as far as possible."""
-        return self._step.walk(q, self._given_numbers(targets), shortest)
+        return self._step.walk(q, self._given_numbers(targets), shortest, self._robot.closure_tolerance)
 
     # marching
 
@@ -323,7 +322,7 @@ class Continuation:
                 residual[part] = outputs["residual"]
             if transforms is not None:
                 transforms[part] = outputs["transform"]
-        unsolved = ~(residual <= CLOSURE_TOLERANCE)
+        unsolved = ~(residual <= self._robot.closure_tolerance)
         if unsolved.any():
             q = q.copy()
             q[unsolved], residual[unsolved], broken[unsolved] = np.nan, np.nan, 1

@@ -2,8 +2,7 @@
 
 Degrees of freedom are the velocities v with G v = 0. Ranks and directions are decided on scaled numbers: linear
 velocities, and the corresponding rows of Jacobians, are divided by :attr:`Mechanism.characteristic_length`; angular
-velocities are unchanged. A singular value below :data:`RANK_TOLERANCE` times a reference is treated as zero, see
-:class:`RankDecision`.
+velocities are unchanged. Ranks are decided where singular values fall by more than a factor, see :class:`RankDecision`.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import numpy as np
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.mechanism.configuration import Configuration, require_assembled
+from pm3dof_pin.tolerances import RANK_CEILING, RANK_GAP
 from pm3dof_pin.typing import Matrix, Vector
 
 RANK_TOLERANCE = 1e-6
@@ -27,9 +27,29 @@ class RankDecision:
     """How the rank of a scaled matrix was decided."""
 
     rank: int  #: number of singular values above the threshold
-    #: :data:`RANK_TOLERANCE` times the reference, the greatest singular value of the matrix before it was restricted
-    threshold: float
+    threshold: float  #: singular values above it count
     singular_values: Vector  #: singular values of the scaled matrix, descending, shape=(min(rows, columns),)
+
+    @classmethod
+    def by_gap(cls, singular_values: Vector, reference: float, ceiling: float) -> RankDecision:
+        """Decide where singular values, in descending order, first fall by :data:`RANK_GAP` to little enough.
+
+        That is to `ceiling` times a reference, the greatest singular value before a restriction. If they fall nowhere
+        like that, those above the ceiling count. The threshold is the geometric mean of the values at the gap.
+        """
+        values, limit = singular_values, ceiling * reference
+        noise = np.finfo(float).eps * reference
+        above = np.concatenate([[reference], values])[: len(values)]
+        falls = (values <= limit) & (above > RANK_GAP * np.maximum(values, noise))
+        if not falls.any():
+            return cls.of(values, limit)
+        first = int(np.argmax(falls))
+        return cls.of(values, float(np.sqrt(above[first] * max(values[first], noise))))
+
+    @property
+    def is_borderline(self) -> bool:
+        """Whether the singular values fall by less than :data:`RANK_GAP` where the rank was decided."""
+        return self.gap < RANK_GAP
 
     @classmethod
     def of(cls, singular_values: Vector, threshold: float) -> RankDecision:
@@ -64,7 +84,8 @@ class DegreesOfFreedom:
         self.twist_scale = mechanism.twist_scale
         self._configuration = configuration
         closures = configuration.constraint_jacobian * self.scale / mechanism.closure_scale[:, None]
-        self.closures = Restriction(closures, np.eye(mechanism.model.nv))
+        self._ceiling = mechanism.rank_tolerance
+        self.closures = Restriction(closures, np.eye(mechanism.model.nv), self._ceiling)
         self.constraint_rank = self.closures.rank
         self.basis = self.closures.motions
         self.count = self.basis.shape[1]
@@ -107,7 +128,7 @@ class DegreesOfFreedom:
 
     def over(self, rows: Matrix) -> Restriction:
         """Restrict the degrees of freedom to rows of scaled numbers, shape=(k, nv)."""
-        return Restriction(rows, self.basis)
+        return Restriction(rows, self.basis, self._ceiling)
 
 
 class Restriction:
@@ -116,6 +137,7 @@ class Restriction:
     Args:
         rows: shape=(k, nv).
         basis: orthonormal motions, shape=(nv, f).
+        ceiling: see :meth:`RankDecision.by_gap`.
 
     Attributes:
         rows: the rows, shape=(k, nv).
@@ -127,11 +149,10 @@ class Restriction:
         inverse: motion of least norm for given values of the rows, shape=(nv, k).
     """
 
-    def __init__(self, rows: Matrix, basis: Matrix) -> None:
+    def __init__(self, rows: Matrix, basis: Matrix, ceiling: float = RANK_CEILING) -> None:
         self.rows = rows
         left, values, right = np.linalg.svd(rows @ basis)
-        threshold = RANK_TOLERANCE * float(np.linalg.norm(rows, 2)) if rows.size else 0.0
-        self.rank = RankDecision.of(values, threshold)
+        self.rank = RankDecision.by_gap(values, float(np.linalg.norm(rows, 2)) if rows.size else 0.0, ceiling)
         rank = self.rank.rank
         self.directions: Matrix = basis @ right.T
         self.motions: Matrix = self.directions[:, rank:]

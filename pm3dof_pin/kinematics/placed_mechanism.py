@@ -13,11 +13,12 @@ from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, Assembly, assemble
+from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
+from pm3dof_pin.tolerances import IMPRECISION_MARGIN, MAX_IMPRECISION
 from pm3dof_pin.typing import Array, Vector
 
 _HOME = "home"
@@ -38,6 +39,28 @@ class PlacedMechanism(Mechanism):
         return self.configuration(self._zeros if named is None else named)
 
     @cached_property
+    def closure_tolerance(self) -> float:
+        """Largest closure error of closed loops [m, rad]; for variants that of their prototype.
+
+        As declared; or else rounding, if the loops close to that at home; or else three times what the damped solver
+        leaves with the drives at rest, if that is at most 1e-4 characteristic lengths or rad: the loops of a robot
+        from CAD, with numbers of six or seven digits, close no better.
+        """
+        usual = super().closure_tolerance
+        if self.prototype is not self:
+            return self.prototype.closure_tolerance
+        if self.declared_closure_tolerance is not None or not self.has_loops:
+            return usual
+        described = self.described_home
+        if described.closure_residual <= usual:
+            return usual
+        drives = {name: described.joint_position(name) for name in self.actuated_joints}
+        held = assemble(self, described, joints=drives, tolerance=usual)
+        error = np.abs(held.configuration.closure_error / self.closure_scale).max(initial=0.0)
+        imprecise = error <= MAX_IMPRECISION
+        return IMPRECISION_MARGIN * held.residual if imprecise and not held.converged else usual
+
+    @cached_property
     def home(self) -> Configuration:
         """The described home, with its loops closed if there is one way to do so nearby.
 
@@ -46,7 +69,7 @@ class PlacedMechanism(Mechanism):
         :attr:`Configuration.closure_residual`.
         """
         described = self.described_home
-        if described.closure_residual <= CLOSURE_TOLERANCE:
+        if described.closure_residual <= self.closure_tolerance:
             return described
         drives = {name: described.joint_position(name) for name in self.actuated_joints}
         for joints in (drives, {}):

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import ConvergenceError, PM3DofError
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, Assembly, assemble
+from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.branches import Branches, branches_of, start_of
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.kinematics.pose_search import Solution, waypoint_lattice
@@ -77,7 +77,7 @@ class Reference:
         except ConvergenceError:
             rows = starts[np.isfinite(starts).all(axis=1)]
             around = (self._robot.configuration(q) for q in rows)
-            closed = next((start for start in around if start.closure_residual <= CLOSURE_TOLERANCE), None)
+            closed = next((start for start in around if start.closure_residual <= self._robot.closure_tolerance), None)
             return None if closed is None else Branches(self._robot, closed)
 
     def obstacle(self, start: Vector, target: Vector) -> str:
@@ -152,7 +152,7 @@ class _Walk:
         """Return the pose at the target, NaN if none is found."""
         robot, q = self._robot, self._start
         start = robot.configuration(q)
-        if not robot.has_loops or start.closure_residual > CLOSURE_TOLERANCE:
+        if not robot.has_loops or start.closure_residual > self._robot.closure_tolerance:
             guesses = (q,) if self._home is None else (q, self._home)
             results = (assemble_at(robot, self._coordinates, target, guess) for guess in guesses)
             return next((result.q for result in results if result.converged), np.full_like(q, np.nan))

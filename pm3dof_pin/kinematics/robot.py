@@ -64,6 +64,7 @@ class LoadOptions(TypedDict, total=False):
     lenient: bool
     drive_stiffness: float | Mapping[str, float] | None
     characteristic_length: float | None
+    closure_tolerance: float | None
     engine: Engine
     threads: int | None
 
@@ -306,6 +307,7 @@ class Robot(PlacedMechanism):
         closures: Iterable[Any] = (),
         drive_stiffness: float | Mapping[str, float] | None = None,
         characteristic_length: float | None = None,
+        closure_tolerance: float | None = None,
         engine: Engine = "program",
         threads: int | None = None,
     ) -> Robot:
@@ -328,6 +330,7 @@ class Robot(PlacedMechanism):
             closures: the loops of a `pinocchio.Model`: closures, or constraint models of Pinocchio.
             drive_stiffness: see :meth:`with_drive_stiffness` [N/m, N m/rad].
             characteristic_length: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism` [m].
+            closure_tolerance: largest closure error of closed loops, instead of the described one [m, rad].
             engine: see :meth:`with_engine`.
             threads: see there.
 
@@ -346,6 +349,8 @@ class Robot(PlacedMechanism):
             lenient=lenient,
             closures=closures,
         )
+        if closure_tolerance is not None:
+            described["closure_tolerance"] = closure_tolerance
         robot = cls(**described, characteristic_length=characteristic_length, engine=engine, threads=threads)
         return robot if drive_stiffness is None else robot.with_drive_stiffness(drive_stiffness)
 

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.kinematics.branches import samples_near_home
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.mobility import Mobility
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.robot import Poses, Robot
@@ -76,7 +75,7 @@ def _measured(robot: Robot, compiled: Compiled, q: Matrix, ranks: list[int], thr
     closed = groups["residual"] <= ASSEMBLED_TOLERANCE * robot.characteristic_length  # False for NaN
     rows, tool = (np.where(closed[:, None, None], groups[name], 0.0) for name in ("closures", "tool"))
     _, sizes, directions = np.linalg.svd(rows)
-    count = (sizes > RANK_TOLERANCE * sizes.max(axis=1, initial=0.0, keepdims=True)).sum(axis=1)
+    count = (sizes > robot.rank_tolerance * sizes.max(axis=1, initial=0.0, keepdims=True)).sum(axis=1)
     free = np.swapaxes(directions[:, ranks[0] :], 1, 2)
     rates = free[:, robot.actuated_indices]
     motions = tool @ free

@@ -174,7 +174,9 @@ class Configuration:
 
 def require_assembled(configuration: Configuration) -> None:
     """Raise InvalidValueError unless the loops are closed."""
-    if configuration.closure_residual > ASSEMBLED_TOLERANCE * configuration.mechanism.characteristic_length:
+    mechanism = configuration.mechanism
+    tolerance = max(ASSEMBLED_TOLERANCE * mechanism.characteristic_length, mechanism.closure_tolerance)
+    if configuration.closure_residual > tolerance:
         raise InvalidValueError("configuration", configuration, "a configuration with closed loops")
 
 

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pm3dof_pin.tolerances import MIN_LEVER
 from pm3dof_pin.typing import Array, Mask, Matrix
 
-ZERO = 1e-9
-"""Entries of scaled Jacobians up to this at all samples are treated as zero."""
+ZERO = MIN_LEVER
+"""Entries of scaled Jacobians up to this at all samples are treated as zero: lever arms as short as frames are off."""
 
 RANK = 1e-6
 """Least relative singular value of equations that determine their joints."""

@@ -31,6 +31,7 @@ from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.mechanism.loop_kinematics import Anchors, CoupledJoints, LoopKinematics
 from pm3dof_pin.mechanism.single_joint import SingleJoint
+from pm3dof_pin.tolerances import CLOSED, RANK_CEILING, RANK_PER_ERROR
 from pm3dof_pin.typing import Indices, Mask, Vector
 
 _MEETING = 1e-9  # m, rad
@@ -61,6 +62,8 @@ class Mechanism:
         characteristic_length: length that makes translations comparable with rotations wherever ranks or directions
             are determined [m]. By default the root mean square distance of joints, closure points and tool from their
             centroid at the neutral configuration.
+        closure_tolerance: largest closure error of closed loops [m, rad]; by default rounding, or what the loops of a
+            robot can be closed to at home, if that is less precise.
         source: file with the names of frames, joints and springs, for messages; by default that of `files`.
         files: the files the mechanism was read from, if any.
         description: the description that the mechanism is made of, if any.
@@ -100,6 +103,7 @@ class Mechanism:
         limit_groups: Iterable[LimitGroup] = (),
         tool_motions: Iterable[ToolComponent] = (),
         characteristic_length: float | None = None,
+        closure_tolerance: float | None = None,
         source: Path | str | None = None,
         files: RobotFiles | None = None,
         description: Description | None = None,
@@ -145,6 +149,10 @@ class Mechanism:
         if not (np.isfinite(length) and length > 0.0):
             raise InvalidValueError("characteristic_length", length, "a positive length [m]")
         self.characteristic_length = float(length)
+        if closure_tolerance is not None and not 0.0 < closure_tolerance <= self.characteristic_length:
+            expected = "a positive number of metres, less than the machine's size"
+            raise InvalidValueError("closure_tolerance", closure_tolerance, expected)
+        self.declared_closure_tolerance = closure_tolerance
         self.velocity_scale = frozen(np.where(translates, self.characteristic_length, 1.0))
         self.twist_scale = frozen(np.repeat([self.characteristic_length, 1.0], 3))
         self.closure_scale = frozen(np.where(np.array(angular, dtype=bool), 1.0, self.characteristic_length))
@@ -161,6 +169,7 @@ class Mechanism:
             "limit_groups": self.limit_groups,
             "tool_motions": self.tool_motions,
             "characteristic_length": self.characteristic_length,
+            "closure_tolerance": closure_tolerance,
             "source": self.source,
             "files": files,
             "description": description,
@@ -256,6 +265,18 @@ class Mechanism:
         for name, problem in self.impossible_inertias.items():
             path = self.source if self.files is None else self.files.path
             raise DescriptionError(path, f"link '{name}', with all links fixed to it: inertia", problem)
+
+    @cached_property
+    def closure_tolerance(self) -> float:
+        """Largest closure error of closed loops [m, rad]: as declared, or :data:`CLOSED`, more for a large machine."""
+        if self.declared_closure_tolerance is not None:
+            return self.declared_closure_tolerance
+        return CLOSED * max(1.0, self.characteristic_length)
+
+    @property
+    def rank_tolerance(self) -> float:
+        """Relative singular value up to which a gap may lie: what the precision of the closures leaves undecided."""
+        return max(RANK_CEILING, RANK_PER_ERROR * self.closure_tolerance / self.characteristic_length)
 
     @cached_property
     def length_unit(self) -> float:

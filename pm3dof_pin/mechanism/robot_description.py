@@ -95,7 +95,7 @@ def _arguments_of(description: Description) -> dict[str, Any]:
     """Return a description as the arguments of a mechanism."""
     names = (
         *("closures", "couplings", "actuated_joints", "commands", "motion_coordinates", "coordinates", "limit_groups"),
-        *("tool_frame", "tool_motions", "springs", "files"),
+        *("tool_frame", "tool_motions", "springs", "files", "closure_tolerance"),
     )
     given = {name: getattr(description, name) for name in names}
     return {"model": build_model(description), "description": description, **given}

@@ -137,7 +137,10 @@ def closure_residual(tree: Tree) -> Scalar:
 
 def closed(tree: Tree) -> Truth:
     """Return whether the loops are closed."""
-    return less(closure_residual(tree), 0.5 * ASSEMBLED_TOLERANCE * tree.mechanism.length_unit)
+    mechanism = tree.mechanism
+    return less(
+        closure_residual(tree), max(0.5 * ASSEMBLED_TOLERANCE * mechanism.length_unit, mechanism.closure_tolerance)
+    )
 
 
 def largest_residual(equations: Iterable[Equations]) -> Scalar:

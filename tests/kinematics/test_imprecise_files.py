@@ -1,0 +1,90 @@
+"""Robots from CAD: numbers of six or seven digits, frames a micrometre off; and ranks by gap."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.exceptions import ConvergenceError
+from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
+from pm3dof_pin.kinematics.mobility import instantaneous_mobility
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import RANK_CEILING
+
+MACHINES = Path(__file__).parents[1] / "machines"
+ROBOTS = ("pm3dof", "hexapod", "three_rps", "linear_delta", "delta", "five_bar", "four_bar", "three_rpr", "agile_eye")
+
+
+def load(name: str) -> Robot:
+    files = [*(MACHINES / name).glob("*.urdf"), *(MACHINES / name).glob("*.xml")]
+    return Robot.load(files[0] if files else name)
+
+
+def changed(robot: Robot, kind: str) -> Robot:
+    """Return a robot read from other numbers: all placements rounded, or moved by a micrometre and a microradian.
+
+    For the smallest machine, whose frames are 13 mm apart, it is 0.13 micrometres.
+    """
+    step = min(1e-6, 1e-5 * robot.characteristic_length)
+    generator, model = np.random.default_rng(1), robot.model.copy()
+    placements = [model.jointPlacements[k] for k in range(1, model.njoints)]
+    placements += [frame.placement for frame in model.frames if frame.type != pin.FrameType.JOINT]
+    for placement in placements:
+        if kind == "micrometre":
+            placement.translation += generator.normal(0.0, step, 3)
+            placement.rotation = pin.exp3(generator.normal(0.0, step, 3)) @ placement.rotation
+        else:
+            digits = int(kind)
+            placement.translation = np.round(placement.translation, digits)
+            placement.rotation = pin.rpy.rpyToMatrix(np.round(pin.rpy.matrixToRpy(placement.rotation), digits))
+    arguments = robot._arguments | {"description": None, "source": robot.name}
+    return Robot(model, robot.closures, **arguments)
+
+
+@pytest.mark.parametrize("kind", ["6", "7", "micrometre"])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_an_imprecise_robot_keeps_its_mobility_and_solves(name, kind):
+    exact = load(name)
+    robot = changed(exact, kind)
+    assert robot.home.closure_residual <= robot.closure_tolerance <= 1e-4 * max(robot.characteristic_length, 0.1)
+    expected, found = instantaneous_mobility(exact.home), instantaneous_mobility(robot.home)
+    for field in ("count", "tool_mobility", "redundant_constraints"):
+        assert getattr(found, field) == getattr(expected, field)
+    widths = [0.02 * robot.characteristic_length if c.unit == "m" else 0.02 for c in robot.coordinates]
+    values = robot.home_coordinates + np.random.default_rng(2).uniform(-1.0, 1.0, (6, len(widths))) * widths
+    for engine in ("program", "pinocchio"):
+        poses = robot.solve(values, engine=engine)
+        assert poses.residual.max() <= robot.closure_tolerance
+        reference = exact.solve(values)
+        scales = [
+            command.scale * (robot.characteristic_length if command.unit == "m" else 1.0) for command in exact.commands
+        ]
+        np.testing.assert_allclose((poses.commands - reference.commands) / scales, 0.0, atol=1e-3)
+
+
+def test_a_rank_is_decided_where_singular_values_fall():
+    """A public biped from CAD: eight singular values above 8e-3, then three below 2.3e-7. Its mobility is 10."""
+    values = np.array([1.4, 1.1, 0.9, 0.5, 0.2, 0.1, 0.03, 8e-3, 2.3e-7, 1e-7, 7.5e-8])
+    decision = RankDecision.by_gap(values, 1.4, RANK_CEILING)
+    assert (decision.rank, decision.is_borderline) == (8, False)
+    assert decision.gap == pytest.approx(8e-3 / 2.3e-7)
+    assert RankDecision.by_gap(np.array([1.0, 1e-3, 3e-7, 1e-9]), 1.0, RANK_CEILING).rank == 2
+    gradual = RankDecision.by_gap(np.array([1.0, 1e-2, 1e-4, 2e-6, 5e-7, 1e-8]), 1.0, RANK_CEILING)
+    assert (gradual.rank, gradual.is_borderline) == (4, True)
+
+
+def test_a_declared_tolerance_is_used(tmp_path):
+    exact = load("four_bar")
+    model = exact.model.copy()
+    tip = exact.closures[0].frame_a
+    index = model.getFrameId(tip)
+    model.frames[index].placement.translation[2] += 1e-4  # out of the plane: this never closes
+    arguments = exact._arguments | {"description": None}
+    with pytest.raises(ConvergenceError):
+        Robot(model, exact.closures, **arguments).forward([0.1])
+    robot = Robot(model, exact.closures, **(arguments | {"closure_tolerance": 2e-4}))
+    assert robot.forward([0.1]).residual == pytest.approx(1e-4, rel=1e-6)
+    assert Robot.load(MACHINES / "four_bar" / "four_bar.urdf", closure_tolerance=1e-7).closure_tolerance == 1e-7
