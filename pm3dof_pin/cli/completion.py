@@ -11,10 +11,11 @@ from pm3dof_pin.exceptions import PM3DofError
 
 
 def robots(incomplete: str) -> list[str]:
-    """Complete the name of a robot that comes with the package."""
-    from pm3dof_pin.description.robots import robot_names
+    """Complete the name of a robot that comes with the package, or else of example-robot-data."""
+    from pm3dof_pin.description.robots import example_robot_names, robot_names
 
-    return [name for name in robot_names() if name.startswith(incomplete)]
+    own = [name for name in robot_names() if name.startswith(incomplete)]
+    return own or [name for name in example_robot_names() if name.startswith(incomplete)]
 
 
 def quantities(incomplete: str) -> list[str]:

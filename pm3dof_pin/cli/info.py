@@ -19,7 +19,7 @@ from pm3dof_pin.description.coordinates import shown_in
 from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.error_file import ErrorFileSchema
 from pm3dof_pin.description.parameters import Parameter
-from pm3dof_pin.description.robots import RobotFiles, robot_names
+from pm3dof_pin.description.robots import RobotFiles, example_robot_names, robot_names
 from pm3dof_pin.elastic.springs import SPRING_SCHEMAS, read_springs
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, PM3DofError
@@ -86,6 +86,7 @@ def info(
     result["singularity_distances"] = read_singularity_distances(machine.home)
     result["missing"] = _missing(result, machine)
     result["robots"] = robot_names()
+    result["example_robots"] = example_robot_names()
     print_result(result, _lines(result, machine), as_json=as_json)
 
 

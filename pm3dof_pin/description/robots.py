@@ -152,6 +152,15 @@ def _existing_path(name_or_path: str | Path) -> Path:
     raise UnknownRobotError(name, robot_names())
 
 
+def example_robot_names() -> list[str]:
+    """Return the sorted names of the robots of example-robot-data, none if that is not installed."""
+    try:
+        from example_robot_data.robots_loader import ROBOTS
+    except ImportError:
+        return []
+    return sorted(ROBOTS)
+
+
 def _example_robot(name: str) -> Path | None:
     """The URDF of a robot of example-robot-data, if that is installed."""
     try:
