@@ -122,7 +122,7 @@ def test_a_change_too_small_to_be_refused_is_named(measured: Measurements, tripo
 
 @pytest.mark.usefixtures("report_without_pictures")
 def test_the_command_says_no_and_writes_nothing(
-    run: Callable[..., Any], answer: Callable[..., dict[str, Any]], tmp_path: Path
+    run: Callable[..., Any], answer: Callable[..., dict[str, Any]], tripod_errors: GeometricErrors, tmp_path: Path
 ) -> None:
     answer("measure", "--poses", "12", "--world", "geometry", "--out", "m.csv", cwd=tmp_path)
     header, *rows = (tmp_path / "m.csv").read_text().splitlines()
@@ -138,6 +138,11 @@ def test_the_command_says_no_and_writes_nothing(
     assert "noise factor" in forced["forced_against"][0]
     assert "most likely the drives' columns are permuted" in forced["forced_against"][-1]
     assert "forced_against" in (tmp_path / "no" / "calibration.yaml").read_text()
+    with pytest.raises(CalibrationRefusedError) as of_library:
+        calibrate(tmp_path / "swapped.csv", "pm3dof", "lm")
+    assert list(of_library.value.reasons) == forced["forced_against"]
+    kept = calibrate(tmp_path / "swapped.csv", tripod_errors, "lm", on_refusal="keep")
+    assert list(kept.refusals) == forced["forced_against"]
 
 
 def test_what_explains_all_goes_before_what_is_simpler_and_leaves_more_than_the_tolerances() -> None:

@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+import pm3dof_pin as pm
 from pm3dof_pin.calibration import report
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import UnreachablePoseError
@@ -94,6 +96,23 @@ def test_poses_that_a_machine_cannot_take_are_left_out(place: Path, run: Run, mo
     assert "3 of 30 poses are left out" in done.stderr
     kept = np.loadtxt(place / "short.csv", delimiter=",", skiprows=1, usecols=0)
     np.testing.assert_array_equal(np.sort(kept), travels[:-3])
+
+
+@pytest.mark.usefixtures("report_without_pictures")
+def test_the_library_writes_what_the_command_writes(place: Path, tmp_path: Path) -> None:
+    """From the file and the names alone."""
+    folder = pm.calibrate(place / "m.csv", "pm3dof", validation=place / "m.csv").save(tmp_path / "c")
+    again = pm.calibrate(place / "m.csv", pm.load("pm3dof"), "lm+gp")
+    assert again.validation is None
+    assert again.held_out is not None
+    files = ["compensation.json", "measurements.csv", *(f"nominal/pm3dof.{e}" for e in ("urdf", "srdf", "errors.yaml"))]
+    for name in files:
+        assert (folder / name).read_bytes() == (place / "calibration" / name).read_bytes(), name
+    summary = yaml.safe_load((place / "calibration" / "calibration.yaml").read_text())
+    summary["measurements"]["warnings"] = []
+    assert again.summary() == summary
+    assert again.summary()["what_to_expect"] == again.expectation.text
+    assert pm.read_compensation(folder).values is not None
 
 
 @pytest.mark.usefixtures("report_without_pictures")
