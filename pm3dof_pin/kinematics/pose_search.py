@@ -101,8 +101,11 @@ def nearest_poses(
     """Return the pose q whose coordinates are nearest to each target, shape=(n, nq); NaN if there is none."""
     if not len(q):
         return np.full((len(targets), robot.model.nq), np.nan)
+    from scipy.spatial import KDTree  # slow to load
+
     units = coordinate_scales(robot, coordinates)
-    return np.array([q[np.abs((values - target) / units).max(axis=1).argmin()] for target in targets])
+    _, nearest = KDTree(values / units).query(np.nan_to_num(targets / units), p=np.inf)
+    return np.asarray(q[nearest])
 
 
 def _within_arms_length(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Matrix:
