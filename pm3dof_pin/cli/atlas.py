@@ -57,6 +57,10 @@ def atlas(
         tuple[float, float] | None,
         typer.Option(metavar="FIRST LAST", help="Range of z_e [m]; by default the heights of the level platform."),
     ] = None,
+    all_branches: Annotated[
+        bool,
+        typer.Option("--all-branches", help="What geometry alone allows, with quantity branch, not only home's."),
+    ] = False,
     keep_beyond_limits: Annotated[
         bool, typer.Option("--keep-beyond-limits", help="Keep values at poses that break a joint limit.")
     ] = False,
@@ -95,6 +99,8 @@ def atlas(
         print_result({"robot": loaded.name, "quantities": listed}, lines, as_json=as_json)
         return
     names = tuple(quantity or (name for name in _DEFAULT_QUANTITIES if name in existing))
+    if all_branches and "branch" in existing:
+        names = tuple(dict.fromkeys((*names, "branch")))
     if ranges or counts:
         if points or tilt is not None or heights:
             raise typer.BadParameter("--points, --tilt and --heights cannot be combined with --range or --counts")
@@ -107,7 +113,7 @@ def atlas(
         raise typer.BadParameter(f"--points, --tilt and --heights are for robots with {', '.join(_TILTS)}: use --range")
     else:
         grid = robot_grid(loaded, _all_ranges(loaded, None))
-    job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision)
+    job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision, "all" if all_branches else "home")
     resumed = job.parts.exists()
     try:
         with progress_bar("poses") as progress:

@@ -50,6 +50,9 @@ def workspace(
     beyond_ranges: Annotated[
         bool, typer.Option("--beyond-ranges", help="Go beyond the declared ranges of coordinates, up to other limits.")
     ] = False,
+    all_branches: Annotated[
+        bool, typer.Option("--all-branches", help="What geometry alone allows, branch by branch, not only home's.")
+    ] = False,
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     formats: Formats = None,
     engine: EngineOption = "program",
@@ -58,37 +61,53 @@ def workspace(
     """Compute the workspace under all limits: boundary, areas, volume, which limit binds where (Fig. 8.2).
 
     Angles in degrees, lengths in metres. Sections over two coordinates are stacked along a third; the other coordinates
-    stay at home, or at the value of --at. Coordinates end at their declared ranges too.
+    stay at home, or at the value of --at. Coordinates end at their declared ranges too. Poses beyond a singular one are
+    on another branch and out of reach; with --all-branches each branch is listed and drawn.
     """
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.chapter_workspace import compare_printed_ranges, printed_ranges, tripod_space
     from pm3dof_pin.maps.datasets import write_map
+    from pm3dof_pin.maps.workspace import spaces_by_branch
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
-    given = which.robot or coordinate or values or which.tool_frame or engine != "program" or beyond_ranges
+    given = which.robot or coordinate or values or which.tool_frame or engine != "program"
+    given = given or beyond_ranges or all_branches
     tripod = None
     with progress_bar("workspace") as progress:
         if given:
-            space = _robot_space(which.load(engine), coordinate, values, beyond_ranges)
+            space = _robot_space(which.load(engine), coordinate, values, beyond_ranges, all_branches)
         else:
             tripod = which.tripod()
             space = tripod_space(tripod)
         sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
         usual = _DIRECTIONS if tripod else _FEW_DIRECTIONS if space.stacked else _ONE_SECTION_DIRECTIONS
         try:
-            found = reachable_set(space, sections, directions or usual)
+            spaces = spaces_by_branch(space) if all_branches else {0: space}
+            branches = {n: reachable_set(own, sections, directions or usual) for n, own in spaces.items()}
         except InvalidValueError as error:
             raise typer.BadParameter(f"{space.machine}: {error}") from None
+        found = next(iter(branches.values()))
         progress(1, 4 if picture else 3)
-        files = write_map(found.boundary(), out / "workspace")
+        files = []
+        for number, own in branches.items():
+            files += write_map(own.boundary(), out / (f"workspace_branch_{number}" if all_branches else "workspace"))
         progress(3, 4 if picture else 3)
-        if picture:
+        if picture and all_branches:
+            from pm3dof_pin.figures.workspace import branches_figure
+
+            files += save(branches_figure(branches), out / "workspace_branches.png", formats)
+        elif picture:
             from pm3dof_pin.figures.workspace import workspace_figure
 
             name = "figure_8_2_workspace.png" if tripod else "workspace.png"
             printed = None if tripod is None else printed_ranges(tripod)
             files += save(workspace_figure(found, printed), out / name, formats)
-        remove_former(out, "figure_8_2_workspace|workspace", files)
+        remove_former(out, "figure_8_2_workspace|workspace(_branches)?", files)
+    if all_branches:
+        results = {n: _result(own) | {"branch": n} for n, own in branches.items()}
+        lines = [line for n, own in branches.items() for line in (f"branch {n}", *_lines(own, results[n]), "")]
+        print_result({"robot": space.machine, "branches": [*results.values()]}, lines, as_json=as_json, files=files)
+        return
     result = _result(found)
     if tripod is not None:
         result["printed_ranges"] = [statement.text for statement in compare_printed_ranges(tripod, found)]
@@ -96,14 +115,18 @@ def workspace(
 
 
 def _robot_space(
-    loaded: Robot, names: list[str] | None, values: list[CoordinateRange] | None, beyond_ranges: bool
+    loaded: Robot,
+    names: list[str] | None,
+    values: list[CoordinateRange] | None,
+    beyond_ranges: bool,
+    all_branches: bool,
 ) -> LimitSpace:
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.limit_space import robot_space
 
-    fixed = robot_grid(loaded, [], values or ()).fixed
+    fixed, chosen = robot_grid(loaded, [], values or ()).fixed, tuple(names) if names else None
     try:
-        return robot_space(loaded, tuple(names) if names else None, fixed, declared_ranges=not beyond_ranges)
+        return robot_space(loaded, chosen, fixed, declared_ranges=not beyond_ranges, all_branches=all_branches)
     except InvalidValueError as error:
         raise typer.BadParameter(f"{loaded.name}: {error}") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -129,7 +130,10 @@ def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str,
     """
     figures = {}
     flags, machine = dataset[BROKEN_LIMITS].load(), plain(str(dataset.attrs["machine"]))
-    outlines = _Outlines(None if robot is None else partial(limits_over, robot), _keeps_values_beyond(dataset, flags))
+    branches = json.loads(dataset.attrs.get("specification", "{}")).get("branches", "home")
+    outlines = _Outlines(
+        None if robot is None else partial(limits_over, robot, branches=branches), _keeps_values_beyond(dataset, flags)
+    )
     for name, variable in dataset.data_vars.items():
         own = [str(dim) for dim in variable.dims if dim not in flags.dims]
         if "flag_masks" in variable.attrs or len(own) > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +12,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch, PathPatch, Rectangle
+from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ from pm3dof_pin.figures.style import (
     limit_styles,
     new_figure,
     round_ticks,
+    spring_colors,
     towards_viewer,
 )
 from pm3dof_pin.maps.limit_space import Flags
@@ -58,6 +61,44 @@ def workspace_figure(workspace: Workspace, printed: Array | None = None) -> Figu
         else:
             _draw_outlines(figure.add_axes((0.17, 0.2, 0.78, 0.72)), sheet)
         _add_legend(figure, sheet)
+    return figure
+
+
+def branches_figure(workspaces: Mapping[int, Workspace]) -> Figure:
+    """Draw the reachable set of every branch in a colour of its own, by number; for three coordinates as solids."""
+    first = next(iter(workspaces.values()))
+    space, sheets = first.space, [_Sheet(own, None) for own in workspaces.values()]
+    colors = dict(zip(workspaces, spring_colors(len(workspaces)), strict=True))
+    limits = np.stack([sheet.limits for sheet in sheets])
+    ends = np.stack([limits[..., 0].min(axis=0), limits[..., 1].max(axis=0)], axis=-1)
+    labels = [f"branch {number}{' (of home)' if number == 0 else ''}" for number in workspaces]
+    with house_style():
+        figure = new_figure(ONE_COLUMN, 3.9)
+        figure.suptitle(f"Branches of the reachable set: {plain(space.machine)}")
+        if space.stacked:
+            axes: Any = figure.add_axes((0.0, 0.1, 0.88, 0.85), projection="3d")
+            solids = [sheet.solid()[0] for sheet in sheets]
+            scale = _BOX / np.ptp(ends, axis=1)
+            faces = np.concatenate(solids)
+            tints = np.repeat([to_rgba(color) for color in colors.values()], [len(own) for own in solids], axis=0)
+            tint = _shaded(tints, faces * scale)
+            axes.add_collection3d(
+                Poly3DCollection(faces, facecolors=tint, edgecolors=tint, linewidths=0.25, rasterized=True)
+            )
+            axes.set(zlim=ends[2], zlabel=sheets[0].labels[2])
+            axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
+            axes.set_box_aspect(_BOX, zoom=0.85)
+        else:
+            axes = figure.add_axes((0.17, 0.2, 0.78, 0.72))
+            axes.set_aspect("equal" if sheets[0].same_unit else "auto")
+            for sheet, color in zip(sheets, colors.values(), strict=True):
+                rings = [sheet.drawn(line) for line in sheet.sections[0].lines]
+                outline = Path.make_compound_path(*(Path(np.vstack([ring, ring[:1]]), closed=True) for ring in rings))
+                axes.add_patch(PathPatch(outline, facecolor=color, edgecolor=INK, linewidth=0.8, alpha=0.8))
+        axes.set(xlim=ends[0], ylim=ends[1], xlabel=sheets[0].labels[0], ylabel=sheets[0].labels[1])
+        round_ticks(axes)
+        handles = [Patch(color=color, label=label) for color, label in zip(colors.values(), labels, strict=True)]
+        figure.legend(handles=handles, loc="lower left", ncols=3)
     return figure
 
 
@@ -158,11 +199,8 @@ def _draw_solid(axes: Any, sheet: _Sheet) -> None:
     scale = _BOX / np.ptp(sheet.limits, axis=1)
     towards = towards_viewer(_ELEVATION, _AZIMUTH)
     solid, limits = sheet.solid()
-    normals = np.cross((solid[:, 1] - solid[:, 0]) * scale, (solid[:, 2] - solid[:, 0]) * scale)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    facing = normals @ towards > -1e-3  # hidden back faces would show as a fringe
-    colors = sheet.limit_colors[limits]
-    colors[:, :3] *= (0.68 + 0.32 * normals @ (_LIGHT / np.linalg.norm(_LIGHT)))[:, None]
+    facing = _normals(solid * scale) @ towards > -1e-3  # hidden back faces would show as a fringe
+    colors = _shaded(sheet.limit_colors[limits], solid * scale)
     levels = drawn([section.level for section in sheet.sections], sheet.units[2])
     lines = [
         _raised(sheet.outline(s)[0], level, towards / scale) for s, level in zip(sheet.sections, levels, strict=True)
@@ -190,6 +228,17 @@ def _draw_solid(axes: Any, sheet: _Sheet) -> None:
     axes.tick_params(axis="y", pad=-1)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_box_aspect(_BOX, zoom=0.95)
+
+
+def _normals(faces: Array) -> Array:
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+
+
+def _shaded(colors: Array, faces: Array) -> Array:
+    """Return colours of faces, shape=(n, 4), darker where they turn away from the light."""
+    shade = 0.68 + 0.32 * _normals(faces) @ (_LIGHT / np.linalg.norm(_LIGHT))
+    return np.column_stack([colors[:, :3] * shade[:, None], colors[:, 3]])
 
 
 def _raised(outline: Array, level: float, towards: Array) -> Array:

@@ -44,6 +44,7 @@ from pm3dof_pin.maps.atlas_store import AtlasStore, Block, Variable, exclusive_r
 from pm3dof_pin.maps.datasets import BROKEN_LIMITS, dataset_attributes, flag_variable, limit_names
 from pm3dof_pin.maps.quantities import select_quantities
 from pm3dof_pin.maps.quantity import Evaluation, MappedRobot, Quantity
+from pm3dof_pin.typing import Branch
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -76,6 +77,7 @@ class Atlas:
         quantities: names of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`.
         path: result, `.nc` (NetCDF) or `.zarr`.
         keep_beyond_limits: whether to keep values at poses that break a limit but can be reached.
+        branches: "home", poses of home's branch; or "all" that the coordinates alone determine (quantity `branch`).
         precision: "single" or "double" on disk; computation is in double, and 6 x 6 matrices are always double.
     """
 
@@ -85,12 +87,14 @@ class Atlas:
     path: Path
     keep_beyond_limits: bool = False
     precision: Precision = "single"
+    branches: Branch = "home"
 
     def __post_init__(self) -> None:
         """Check names and path; InvalidValueError for an unknown quantity, no dimensions or another suffix."""
         require_kind("robot", self.robot, Robot, "pm.load")
         require_kind("grid", self.grid, Grid, "Robot.grid")
         require_choice("precision", self.precision, Precision)
+        require_choice("branches", self.branches, Branch)
         object.__setattr__(self, "path", Path(self.path))
         if not self.grid.axes:
             raise InvalidValueError("grid", problem="is one pose", expected="at least one coordinate with a range")
@@ -161,6 +165,7 @@ class Atlas:
             "quantities": self.quantities,
             "keep_beyond_limits": self.keep_beyond_limits,
             "precision": self.precision,
+            "branches": self.branches,
             "engine": robot.engine,
         }
         return {
@@ -307,7 +312,7 @@ def open_atlas(path: Path | str, *, verify: bool = True) -> xr.Dataset:
 def _compute_block(atlas: Atlas, block: Block) -> Block:
     """Compute one block, write it into the store, and then its record."""
     place = atlas.slices(block)
-    poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", threads=1)
+    poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", threads=1, branches=atlas.branches)
     size = math.prod(poses.shape)
     chosen_indices = np.flatnonzero(poses.solved if atlas.keep_beyond_limits else poses.within_limits)
     chosen = poses.reshape(size) if chosen_indices.size == size else poses.reshape(size)[chosen_indices]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.datasets import limit_names
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Branch
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
@@ -44,6 +44,8 @@ class LimitSpace:
     box: Array  #: where the search starts; it goes on beyond if the set does, shape=(number of coordinates, 2) [m, rad]
     start: Array  #: a pose from which the set is also searched: home, shape=(number of coordinates,) [m, rad]
     density: float = 1.0  #: points along each coordinate, relative to the usual number
+    #: if poses of all branches count, the limits as above and the numbers of the branches
+    branches: Callable[[Array], tuple[Flags, NDArray[np.int64]]] | None = None
 
     @property
     def stacked(self) -> bool:
@@ -64,12 +66,13 @@ def robot_space(
     fixed: Mapping[str, float] | None = None,
     *,
     declared_ranges: bool = True,
+    all_branches: bool = False,
 ) -> LimitSpace:
     """Return two or three coordinates of a robot with the limits over them.
 
     By default the first ones, with those of equal units in the sections; others are at home unless fixed [m, rad].
     Coordinates end at their declared ranges, on request at the limits of joints and closures only, and angles after one
-    turn.
+    turn. Poses are those of home's branch, on request of all that the coordinates alone determine.
 
     Raises:
         InvalidValueError: an unknown coordinate, fewer than two or more than three.
@@ -95,39 +98,52 @@ def robot_space(
         low, high = np.clip(robot.range_of(coordinate), *row)
         low, high = low if np.isfinite(low) else centre - width, high if np.isfinite(high) else centre + width
         box.append((low - _AROUND * (high - low), high + _AROUND * (high - low)))
-    broken, beyond = limits_over(robot, chosen, fixed), np.uint32(1 << len(limit_names(robot)))
+    judged, beyond = _judged(robot, chosen, fixed, "all" if all_branches else "home"), 1 << len(limit_names(robot))
 
-    def broken_limits(values: Array) -> Flags:
+    def with_ranges(values: Array) -> tuple[Flags, NDArray[np.int64]]:
         outside = np.any((values < ends[:, 0]) | (values > ends[:, 1]), axis=-1)
-        return np.asarray(broken(values) | np.where(outside, beyond, np.uint32(0)))
+        flags, branches = judged(values)
+        return np.asarray(flags | np.where(outside, np.uint32(beyond), np.uint32(0))), branches
 
     return LimitSpace(
         machine=robot.name,
         names=chosen,
         units=tuple(coordinate.unit for coordinate in coordinates),
         limits=(*limit_names(robot), DECLARED_RANGE),
-        broken_limits=broken_limits,
+        broken_limits=lambda values: with_ranges(values)[0],
         box=np.array(box),
         start=home,
         density=1.0 if robot.engine == "program" and robot.reason_without_programs() is None else _SLOW,
+        branches=with_ranges if all_branches else None,
     )
 
 
 def limits_over(
-    robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None
+    robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None, branches: Branch = "home"
 ) -> Callable[[Array], Flags]:
     """Return a robot's limits over some coordinates, see :attr:`LimitSpace.broken_limits`; others at home or fixed."""
+    judged = _judged(robot, names, fixed, branches)
+    return lambda values: judged(values)[0]
+
+
+def _judged(
+    robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None, which: Branch
+) -> Callable[[Array], tuple[Flags, NDArray[np.int64]]]:
+    """Return a robot's limits over some coordinates, and with all branches their numbers."""
     complete = coordinates_over(robot, names, fixed)
 
-    def broken(values: Array) -> Flags:
+    def judged(values: Array) -> tuple[Flags, NDArray[np.int64]]:
         rows = values.reshape(-1, len(names))
-        flags = np.empty(len(rows), dtype=np.uint32)
+        flags, branches = np.empty(len(rows), dtype=np.uint32), np.zeros(len(rows), dtype=np.int64)
         for first in range(0, len(rows), _BATCH):
             part = slice(first, first + _BATCH)
-            flags[part] = robot.solve(complete(rows[part]), on_failure="nan").broken_limits
-        return flags.reshape(values.shape[:-1])
+            poses = robot.solve(complete(rows[part]), on_failure="nan", branches=which)
+            flags[part] = poses.broken_limits
+            if which == "all":
+                branches[part] = poses.branch
+        return flags.reshape(values.shape[:-1]), branches.reshape(values.shape[:-1])
 
-    return broken
+    return judged
 
 
 def coordinates_over(

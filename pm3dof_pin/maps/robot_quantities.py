@@ -202,6 +202,13 @@ ROBOT_QUANTITIES = (
         (Dimension("command", lambda mapped: tuple(command.name for command in mapped.robot.commands)),),
     ),
     Quantity(
+        "branch",
+        lambda evaluation: evaluation.poses.branch.astype(float),
+        "1",
+        "branch of the pose, 0 for that of home",
+        exists=lambda mapped: mapped.robot.has_loops,
+    ),
+    Quantity(
         "free_stiffness",
         _free_stiffness,
         _free_motion_unit,

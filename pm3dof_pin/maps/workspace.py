@@ -8,7 +8,7 @@ set may have any shape, with holes and several parts; parts thinner than a cell 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
@@ -19,6 +19,9 @@ from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.datasets import NamedArray, NamedArrays, coordinate_attributes, dataset_attributes, flag_variable
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace
 from pm3dof_pin.typing import Array, Mask
+
+BRANCH = "branch"
+"""Name of the limit that a pose is on another branch, behind a singular one."""
 
 _SEARCH_POINTS = 33  # along each coordinate of the first grid
 _MOST_SEARCHES = 24
@@ -73,7 +76,7 @@ class WorkspaceSection:
         for line, limits in zip(self.lines, self.limits, strict=True):
             sides = np.linalg.norm((np.roll(line, -1, axis=0) - line) / scale, axis=1)
             bits = (limits[:, None] & (1 << np.arange(len(shares)))) != 0
-            shares += (sides + np.roll(sides, 1)) @ (bits / bits.sum(axis=1, keepdims=True))
+            shares += (sides + np.roll(sides, 1)) @ (bits / np.maximum(bits.sum(axis=1, keepdims=True), 1))
         return dict(zip(self.space.limits, (shares / (shares.sum() or 1.0)).tolist(), strict=True))
 
 
@@ -194,6 +197,32 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
         place = f"{name} = {given[0]:g} {unit} and {given[-1]:g} {unit}"
         raise UnreachablePoseError(f"no pose between {place} is within the limits")
     return Workspace(space, level_range, sections, ends[:2], places[:2, :, 2] if space.stacked else np.zeros((2, 2)))
+
+
+def spaces_by_branch(space: LimitSpace) -> dict[int, LimitSpace]:
+    """Divide a space that has all branches into one for each branch found in it, by number, home's first.
+
+    Another branch is the limit :data:`BRANCH` of each.
+    """
+    judged = space.branches
+    if judged is None:
+        raise InvalidValueError("space", space.machine, "robot_space(..., all_branches=True)")
+    inside, cell = _search(space)
+    numbers, beyond = judged(inside)[1], np.uint32(1 << len(space.limits))
+
+    def apart(number: int) -> LimitSpace:
+        def broken_limits(points: Array) -> Flags:
+            flags, branches = judged(points)
+            return np.asarray(np.where((flags == 0) & (branches != number), beyond, flags))
+
+        own = inside[numbers == number]
+        box = np.stack([own.min(axis=0) - cell, own.max(axis=0) + cell], axis=-1)
+        limits = (*space.limits, BRANCH)
+        return replace(
+            space, limits=limits, broken_limits=broken_limits, box=box, start=own[len(own) // 2], branches=None
+        )
+
+    return {number: apart(number) for number in np.unique(numbers).tolist()}
 
 
 def workspace_section(space: LimitSpace, level: float, directions: int = 360) -> WorkspaceSection:

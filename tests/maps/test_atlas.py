@@ -241,7 +241,7 @@ def test_every_quantity_can_be_mapped(mechanism: Robot, tmp_path: Path, name: st
         assert dataset[name].dims[:3] == ("z_e", "theta_x", "theta_y")
         values = dataset[name].values
         inside = dataset["broken_limits"].values == 0
-        assert np.all(np.isfinite(values[inside]))
+        assert not np.any(np.isnan(values[inside]))  # a direction without freedom bears any force
         assert np.all(np.isnan(values[~inside]))
 
 

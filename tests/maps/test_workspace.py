@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.figures.workspace import branches_figure
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.limit_space import DECLARED_RANGE, Flags, LimitSpace, robot_space
-from pm3dof_pin.maps.workspace import Surface, workspace, workspace_section
+from pm3dof_pin.maps.workspace import BRANCH, Surface, spaces_by_branch, workspace, workspace_section
 from pm3dof_pin.typing import Array
 
+MACHINES = Path(__file__).parents[1] / "machines"
 TURN = np.linalg.qr([[3.0, 1.0, 0.5], [-1.0, 2.0, 0.3], [0.2, -0.7, 1.9]])[0]
 
 
@@ -165,3 +168,21 @@ def test_the_reference_engine_finds_the_same_on_its_coarser_grid() -> None:
     assert spaces[1].density < spaces[0].density
     points = np.random.default_rng(3).uniform(spaces[0].box[:, 0], spaces[0].box[:, 1], (40, 3))
     np.testing.assert_array_equal(spaces[0].broken_limits(points), spaces[1].broken_limits(points))
+
+
+def test_branches_end_where_the_machine_is_singular() -> None:
+    """A 3-RPR with similar base and platform, 40 deg apart at home, is singular where they are 90 deg apart."""
+    robot = Robot.load(MACHINES / "three_rpr")
+    space = robot_space(robot, declared_ranges=False, all_branches=True)
+    first, second = (workspace(own, 9, 60) for own in spaces_by_branch(space).values())
+    assert first.level_range[0] == pytest.approx(np.radians(-50.0), abs=1e-5)
+    assert second.level_range[1] == pytest.approx(np.radians(-50.0), abs=1e-5)
+    for found in (first, second):
+        assert found.limit_shares[BRANCH] > 0.0
+    home = workspace(robot_space(robot, declared_ranges=False), 9, 60)
+    np.testing.assert_allclose(home.level_range, first.level_range, atol=1e-5)
+    np.testing.assert_allclose(home.ranges, first.ranges, atol=1e-4)
+    figure = branches_figure({0: first, 8: second})
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["branch 0 (of home)", "branch 8"]
+    with pytest.raises(InvalidValueError, match="all_branches"):
+        spaces_by_branch(robot_space(robot))
