@@ -16,6 +16,7 @@ _LOGARITHMIC_FROM = 10.0  # ratio of the largest to the least value
 _NEARLY_CONSTANT = 0.1  # variation relative to the mean; the picture says so if it is less
 TAILS = (1.0, 5.0)  # of the values at either end [%], which may lie beyond the colours ...
 _FEW_TICKS = 5
+_MOST_KINDS = 8
 _TAIL_SPAN = 3.0  # ... if they would stretch the scale by this factor
 _STEPS = {
     1: (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
@@ -32,6 +33,7 @@ class ColorScale:
     logarithmic: bool  #: whether equal steps of colour are equal ratios
     extend: Literal["neither", "min", "max", "both"]
     note: str  #: a note for the reader, or ""
+    kinds: tuple[float, ...] = ()  #: whole numbers that stand for kinds, between two levels each; empty for quantities
 
     def smooth_norm(self) -> Normalize:
         """Return the scale without steps, for shaded surfaces."""
@@ -44,6 +46,8 @@ class ColorScale:
     @property
     def ticks(self) -> list[float]:
         """Return round values for the colour bar."""
+        if self.kinds:
+            return list(self.kinds)
         if not self.logarithmic:
             every = max(1, math.ceil(len(self.levels) / 9))
             return [float(level) for level in self.levels[::every]]
@@ -76,6 +80,11 @@ def color_scale(values: Array, also: Array | None = None) -> ColorScale:
     """
     finite = np.asarray(values, dtype=float)
     finite = finite[np.isfinite(finite)]
+    kinds = kinds_of(finite)
+    if len(kinds) > 1:
+        middles = 0.5 * (kinds[1:] + kinds[:-1])
+        levels = np.array([kinds[0] - 0.5, *middles, kinds[-1] + 0.5])
+        return ColorScale(levels, False, "neither", "", tuple(kinds.tolist()))
     every = finite if also is None else np.concatenate([finite, np.ravel(also)])
     least, greatest = float(every.min()), float(every.max())
     mean = float(np.abs(finite).mean())
@@ -107,6 +116,12 @@ def color_scale(values: Array, also: Array | None = None) -> ColorScale:
     elif extend != "neither":
         note = f"values from {number(float(f'{least:.3g}'))} to {number(float(f'{greatest:.3g}'))}"
     return ColorScale(levels, logarithmic, extend, note)
+
+
+def kinds_of(values: Array) -> Array:
+    """Return the different values if they are few whole numbers, which stand for kinds; otherwise nothing."""
+    known = np.unique(values[np.isfinite(values)])
+    return known if len(known) <= _MOST_KINDS and np.array_equal(known, np.round(known)) else known[:0]
 
 
 def number(value: float, decimals: int = 0) -> str:

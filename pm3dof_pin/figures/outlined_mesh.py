@@ -21,9 +21,9 @@ from matplotlib.path import Path
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import Delaunay, KDTree, QhullError
 
-from pm3dof_pin.figures.color_scale import ColorScale
+from pm3dof_pin.figures.color_scale import ColorScale, kinds_of
 from pm3dof_pin.figures.labels import drawn
 from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, collected
 from pm3dof_pin.typing import Array, Mask
@@ -51,7 +51,16 @@ class OutlinedMesh:
     fillable: Mask  #: poses of the grid excluded by a limit, whose values may be extrapolated, shape=(n, m)
 
     def values(self, field: Array) -> Array:
-        """Interpolate a field over the grid linearly at the points, extrapolated from the last poses inside."""
+        """Interpolate a field over the grid linearly at the points, extrapolated from the last poses inside.
+
+        Whole numbers stand for kinds, and points have that of the nearest pose.
+        """
+        if len(kinds_of(field)):
+            pose = np.argwhere(np.isfinite(field))
+            spans = [axis[-1] - axis[0] or 1.0 for axis in self.axes]
+            places = np.column_stack([axis[index] for axis, index in zip(self.axes, pose.T, strict=True)])
+            nearest: Array = field[tuple(pose[KDTree(places / spans).query(self.points / spans)[1]].T)]
+            return nearest
         filled, positive = np.where(np.isfinite(field), field, np.nan), bool(np.nanmin(field) > 0.0)
         filled = _extended(np.log(filled) if positive else filled, self.fillable)
         found = np.asarray(_interpolator(self.axes, filled)(self.points))
