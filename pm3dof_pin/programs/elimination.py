@@ -57,7 +57,7 @@ class Doubt:
 
 
 @dataclass(frozen=True)
-class _Reflection:
+class Reflection:
     """An orthogonal symmetric matrix 1 - v g^T on a few indices; or a rotation in a plane."""
 
     indices: tuple[int, ...]  #: the indices it acts on; the first is the pivot
@@ -91,7 +91,7 @@ class Elimination:
     pivot_rows: Objects  #: one row for each eliminated column, upper triangular in them, shape=(r, n)
     rest: Objects  #: the other rows, zero in all these columns, shape=(m - r, n)
     #: the orthogonal matrices applied to the rows, in order
-    reflections: tuple[_Reflection, ...] = field(repr=False)
+    reflections: tuple[Reflection, ...] = field(repr=False)
     rest_rows: tuple[int, ...]  #: which rows of the system became the rest
 
     def carry(self, columns: Objects) -> tuple[Objects, Objects]:
@@ -133,7 +133,7 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     done: list[int] = []
     dropped: list[int] = []
     pivots: list[int] = []
-    reflections: list[_Reflection] = []
+    reflections: list[Reflection] = []
     while waiting:
         fronts = {c: [i for i in active if not is_zero(rows[i][c])] for c in waiting}
         sizes = {}
@@ -178,21 +178,21 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     )
 
 
-def _reflect(vector_entries: Mapping[int, Scalar]) -> _Reflection:
+def _reflect(vector_entries: Mapping[int, Scalar]) -> Reflection:
     """Return the matrix that maps a vector, given by its nonzero entries, to the index of the largest."""
     sizes = {k: typical(np.abs(samples(entry))) for k, entry in vector_entries.items()}
     indices = tuple(sorted(sizes, key=lambda k: -sizes[k]))
     entries = [vector_entries[k] for k in indices]
     if len(entries) == 1:
-        return _Reflection(indices, (1.0,), None, entries[0], absolute(entries[0]))
+        return Reflection(indices, (1.0,), None, entries[0], absolute(entries[0]))
     size = sqrt(total([entry * entry for entry in entries]))
     if len(entries) == 2:
         inverse = 1.0 / size
-        return _Reflection(indices, (entries[0] * inverse, entries[1] * inverse), None, size, size)
+        return Reflection(indices, (entries[0] * inverse, entries[1] * inverse), None, size, size)
     pivot = select(less(entries[0], 0.0), size, -size)
     vector = (entries[0] - pivot, *entries[1:])
     factor = -1.0 / (pivot * vector[0])
-    return _Reflection(indices, vector, tuple(factor * v for v in vector), pivot, size)
+    return Reflection(indices, vector, tuple(factor * v for v in vector), pivot, size)
 
 
 def solve_upper(triangle: Objects, right: Objects) -> Objects:
@@ -256,7 +256,7 @@ def triangular(rows: Objects) -> Objects:
     return np.array(stack, dtype=object).reshape(rows.shape)[:, taken]
 
 
-def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> _Reflection:
+def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflection:
     """Apply the reflection that leaves only the largest entry of a row to the other rows."""
     reflection = _reflect(entries)
     for row in rows:
