@@ -27,7 +27,7 @@ from pm3dof_pin.cli.poses import (
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, shown_in
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
-from pm3dof_pin.kinematics.pose_file import readings
+from pm3dof_pin.kinematics.pose_file import placement_readings, readings
 from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Vector
@@ -89,6 +89,7 @@ def fk(
     if poses is not None:
         table = read_table(machine, poses, given="commands")
         found = readings(machine.coordinates, table.poses.coordinates)
+        found |= {} if machine.tool_frame is None else placement_readings(table.poses)
         write_batch(table.poses, dict(table.columns) | found, out, as_json)
         return
     modes: list[Vector] = []

@@ -49,9 +49,9 @@ def read_poses(robot: Robot, path: Path | str, *, given: Given = "coordinates") 
     r"""Read a CSV file of poses and solve them.
 
     A coordinate or command `name` has a column `name_deg` or `name_rad`, or `name_m` or `name_mm`; commands may also be
-    numbered, `u1_m`. A pose may be given by the placement of the tool instead, in columns x_m, y_m, z_m, qw, qx, qy,
-    qz. Other columns are allowed, so that what one command writes the next can read. A file without a header has the
-    coordinates in their order, angles in degrees and lengths in metres, separated by blanks or commas.
+    numbered, `u1_m`. Without coordinates a pose is given by the placement of the tool, in columns x_m, y_m, z_m, qw,
+    qx, qy, qz. Other columns are allowed, so that what one command writes the next can read. A file without a header
+    has the coordinates in their order, angles in degrees and lengths in metres, separated by blanks or commas.
 
     Example:
         >>> from pathlib import Path
@@ -64,7 +64,7 @@ def read_poses(robot: Robot, path: Path | str, *, given: Given = "coordinates") 
     Args:
         robot: the robot.
         path: the file.
-        given: what is read if the file has both; coordinates (or placements) give way to commands if it has none.
+        given: what is read if the file has both; without coordinates and placements, commands are.
 
     Raises:
         MeasurementError: the file is unreadable, a column is missing or twice there, a row is incomplete, a quaternion
@@ -73,15 +73,15 @@ def read_poses(robot: Robot, path: Path | str, *, given: Given = "coordinates") 
     require_choice("given", given, Given)
     headless = [c.heading for c in (robot.coordinates if given == "coordinates" else robot.command_coordinates)]
     table = CsvTable(Path(path), (), headings=headless, words=(BROKEN_LIMITS,))
-    commands = _columns(robot.command_coordinates, table)
-    if given == "coordinates" and set(PLACEMENT) <= set(table.header):
+    columns, commands = _columns(robot.coordinates, table), _columns(robot.command_coordinates, table)
+    if given == "coordinates" and not columns and set(PLACEMENT) <= set(table.header):
         columns = PLACEMENT
         poses = _poses_at(robot, _transforms(table, _rows(table, columns)))
     elif given == "commands" or (not set(_headings(robot.coordinates)) & set(table.header) and commands):
         columns = commands or _required(robot, table, robot.command_coordinates)
         poses = robot.forward(_values(robot, table, robot.command_coordinates, columns), on_failure="nan")
     else:
-        columns = _columns(robot.coordinates, table) or _required(robot, table, robot.coordinates)
+        columns = columns or _required(robot, table, robot.coordinates)
         poses = robot.solve(_values(robot, table, robot.coordinates, columns), on_failure="nan")
     others = {name: values for name, values in table.columns.items() if name not in columns}
     written = dict(zip(table.columns, table.written.items(), strict=True))
@@ -91,6 +91,14 @@ def read_poses(robot: Robot, path: Path | str, *, given: Given = "coordinates") 
 def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Array]:
     """Return columns of coordinate values, shape=(n, number of coordinates) [m, rad]; angles are in degrees there."""
     return {c.heading: shown_in(c.unit)[0] * column for c, column in zip(coordinates, values.T, strict=True)}
+
+
+def placement_readings(poses: Poses) -> dict[str, Array]:
+    """Return the columns :data:`PLACEMENT` of poses, shape=(n,)."""
+    quaternions = np.full((len(poses), 4), np.nan)
+    for row in np.flatnonzero(poses.solved):
+        quaternions[row] = pin.Quaternion(poses.rotations[row]).coeffs()[[3, 0, 1, 2]]
+    return dict(zip(PLACEMENT, np.column_stack([poses.positions, quaternions]).T, strict=True))
 
 
 def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import pm3dof_pin as pm
 from pm3dof_pin.exceptions import MeasurementError
-from pm3dof_pin.kinematics.pose_file import PLACEMENT, columns_text, readings
+from pm3dof_pin.kinematics.pose_file import PLACEMENT, columns_text, placement_readings, readings
 
 ROBOTS = ["pm3dof", "hexapod", "three_rps", "linear_delta"]
 
@@ -32,8 +31,10 @@ def test_coordinates_commands_and_placements_are_one_pose(name: str, tmp_path: P
     lengths = [heading for heading in in_degrees if heading.endswith("_m")]
     in_millimetres = {h: column for h, column in in_degrees.items() if h not in lengths}
     in_millimetres |= {f"{h}m": 1e3 * in_degrees[h] for h in lengths}
-    turned = [pin.Quaternion(rotation).coeffs()[[3, 0, 1, 2]] for rotation in poses.rotations]
-    placements = dict(zip(PLACEMENT, np.column_stack([poses.positions, turned]).T, strict=True))
+    placements = placement_readings(poses)
+    w, x, y, z = (placements[name] for name in PLACEMENT[3:])
+    np.testing.assert_allclose(poses.rotations[:, 2, 2], w**2 - x**2 - y**2 + z**2, atol=1e-12)
+    np.testing.assert_allclose(poses.rotations[:, 1, 0], 2.0 * (x * y + w * z), atol=1e-12)
     commands = readings(robot.command_coordinates, poses.commands)
     numbered = {f"u{k}_{c.unit}": poses.commands[:, k - 1] for k, c in enumerate(robot.commands, start=1)}
     for columns in (in_degrees, in_radians, in_millimetres, placements, commands, numbered, in_degrees | commands):
