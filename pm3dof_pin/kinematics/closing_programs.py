@@ -93,17 +93,27 @@ class ProgramSource:
         Raises:
             ProgramError: there is no program for the robot, or it disagrees with Pinocchio.
         """
-        own, samples, coordinates = self._robot, self.samples, Task.of(self._robot.coordinates)
+        own, samples = self._robot, self.samples
 
         def trace(dense: bool) -> Walk:
             step = self._stored(f"step {task}", dense, lambda: closing_program(own, task, samples, dense=dense))
             start = self._stored(f"start {task}", dense, lambda: start_program(own, task, samples, dense=dense))
             control = self._stored(f"control {task}", dense, lambda: control_program(own, start))
-            name = f"branch {coordinates}"
-            branch = self._stored(name, dense, lambda: branch_program(own, coordinates, samples, dense=dense))
-            return Walk.from_programs(step, start, control, branch)
+            return Walk.from_programs(step, start, control)
 
         return self._bound(robot, f"walk {task}", trace)
+
+    def printable_walk(self, robot: PlacedMechanism, task: Task) -> tuple[Walk, Vector]:
+        """Return the walk, with the program that tells branches apart, and its parameters; errors as above."""
+        walk, coordinates = self.walk(robot, task).compiled.walk_program, Task.of(self._robot.coordinates)
+        assert walk is not None
+        numbers, dense = self._geometry_of(robot)
+        own, samples = self._robot, self.samples
+        name = f"branch {coordinates}"
+        walk = walk.with_branch(
+            self._stored(name, dense, lambda: branch_program(own, coordinates, samples, dense=dense))
+        )
+        return walk, geometry.chosen(numbers, walk.parameters)
 
     def damped_step(self, robot: PlacedMechanism, task: Task) -> BoundProgram:
         """Return the damped step that closes the loops of the robot or a variant; errors as in :meth:`walk`."""

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.programs.printing import literal, parameter_values, statements
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.walk import CLOSED, SHORTEST_LEG, Walk
@@ -62,6 +63,7 @@ def c99(
 
     Raises:
         ShapeError: the number of values is not the number of parameters.
+        InvalidValueError: the walk has no program that tells branches apart.
     """
     texts = descriptions or {}
     parts = ["#include <math.h>", ""]
@@ -71,6 +73,8 @@ def c99(
     if isinstance(program, Program):
         return "\n".join([*parts, *comment, *_function(program, program.name), ""])
     walk, name = program, program.name
+    if walk.branch is None:
+        raise InvalidValueError("program", expected="a walk with a branch")
     for part, each in walk.parts.items():
         parts += _function(each, f"{name}_{part}", "static ")
     loop = _WALK.format(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.programs.printing import EXPRESSIONS, MAX_STEPS, literal, parameter_values, statements
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.walk import CLOSED, SHORTEST_LEG, SINGULAR, Walk
@@ -22,6 +23,7 @@ def javascript(program: Program | Walk, parameters: ArrayLike | None = None) -> 
 
     Raises:
         ShapeError: the number of values is not the number of parameters.
+        InvalidValueError: the walk has no program that tells branches apart.
     """
     built_in = parameters is not None
     values = [] if parameters is None else parameter_values(program, parameters).tolist()
@@ -29,6 +31,8 @@ def javascript(program: Program | Walk, parameters: ArrayLike | None = None) -> 
     if isinstance(program, Program):
         return _function(program, program.name, values if built_in else None)
     walk, name = program, program.name
+    if walk.branch is None:
+        raise InvalidValueError("program", expected="a walk with a branch")
     stepped, state = len(walk.step.results), len(walk.start.results)
     functions = [_function(each, f"{name}_{part}", values if built_in else None) for part, each in walk.parts.items()]
     loop = f"""function {name}(start,targets,{p}q){{

@@ -99,7 +99,7 @@ class Walk:
     step: Program  #: see :func:`~pm3dof_pin.programs.closing.closing_program`
     start: Program
     control: Program
-    branch: Program
+    branch: Program | None = None  #: needed by printers only, see :meth:`with_branch`
 
     @classmethod
     def from_programs(cls, *programs: Program) -> Walk:
@@ -117,6 +117,10 @@ class Walk:
         """Name of the step."""
         return self.step.name
 
+    def with_branch(self, branch: Program) -> Walk:
+        """Return the same walk with a program that tells branches apart, and with its parameters."""
+        return Walk.from_programs(self.step, self.start, self.control, branch)
+
     def renamed(self, name: str) -> Walk:
         """Return the same walk with another name."""
         return replace(self, step=replace(self.step, name=name))
@@ -124,7 +128,8 @@ class Walk:
     @property
     def parts(self) -> dict[str, Program]:
         """The programs by name."""
-        return {"step": self.step, "start": self.start, "control": self.control, "branch": self.branch}
+        parts = {"step": self.step, "start": self.start, "control": self.control, "branch": self.branch}
+        return {name: program for name, program in parts.items() if program is not None}
 
     @property
     def key(self) -> str:
@@ -176,8 +181,10 @@ class Walk:
         while (rows := np.flatnonzero(states[:, self.status] > 0.0)).size:
             stepped = self.step.evaluate(states[rows, : len(self.step.inputs)], parameters)
             states[rows, : self.status + 1] = self.control.evaluate(np.hstack([stepped, states[rows]]), parameters)
-        here, there = (self.branch.evaluate(rows, parameters)[:, 0] for rows in (q, states[:, self.reached]))
-        passed = (states[:, self.status] == REACHED) & (states[:, self.singular] == 0.0) & (here != there)
+        passed = np.zeros(len(q), dtype=bool)
+        if self.branch is not None:
+            here, there = (self.branch.evaluate(rows, parameters)[:, 0] for rows in (q, states[:, self.reached]))
+            passed = (states[:, self.status] == REACHED) & (states[:, self.singular] == 0.0) & (here != there)
         return states[:, self.reached], np.where(passed, SINGULAR, states[:, self.status])
 
 

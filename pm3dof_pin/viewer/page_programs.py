@@ -144,9 +144,8 @@ class PagePrograms:
         """Return the walk to values of coordinates as JavaScript; joints come before components of the tool."""
         joints = tuple(coordinate.joint for coordinate in coordinates if coordinate.joint is not None)
         tool = tuple(coordinate.tool for coordinate in coordinates if coordinate.tool is not None)
-        bound = program_source(self.robot).walk(self.robot, Task(joints, tool))
-        assert bound.compiled.walk_program is not None
-        return javascript(bound.compiled.walk_program.renamed(name), bound.parameters)
+        walk, parameters = program_source(self.robot).printable_walk(self.robot, Task(joints, tool))
+        return javascript(walk.renamed(name), parameters)
 
     @cached_property
     def source(self) -> str:

@@ -42,17 +42,11 @@ def main() -> None:
         poses = robot.solve(circle)
         row: list[float] = []
         for coordinates, values in ((robot.coordinates, circle), (robot.command_coordinates, poses.commands)):
-            task = Task(
-                tuple(c.joint for c in coordinates if c.joint is not None),
-                tuple(c.tool for c in coordinates if c.tool is not None),
-            )
-            bound = program_source(robot).walk(robot, task)
+            walk, parameters = program_source(robot).printable_walk(robot, Task.of(coordinates))
             numbers = (values - [c.offset for c in coordinates]) / [c.scale for c in coordinates]
             order = sorted(range(len(coordinates)), key=lambda k: coordinates[k].joint is None)
-            walk = bound.compiled.walk_program
-            assert walk is not None
             source = c99(walk.renamed("walk"), summary=f"Closes the loops of {name}.")
-            microseconds, size = timed(source, poses.q, numbers[:, order], bound.parameters)
+            microseconds, size = timed(source, poses.q, numbers[:, order], parameters)
             row += [microseconds, source.count("\n"), size / 1000.0]
         print(f"{name:14} {row[0]:10.2f} {row[3]:10.2f} {row[1] + row[4]:8.0f} {row[2] + row[5]:8.0f}")
 

@@ -222,8 +222,7 @@ def test_legs_twenty_times_shorter_end_in_the_same_poses(name, given, monkeypatc
     compiled, parameters = solver._step
     samples = program_source(robot).samples
     start = walk.start_program(robot, solver._task, samples, leg=0.05 * walk.LEG)
-    control, branch = walk.control_program(robot, start), compiled.walk_program.branch
-    program = walk.Walk.from_programs(compiled.program, start, control, branch)
+    program = walk.Walk.from_programs(compiled.program, start, walk.control_program(robot, start))
     slowly = llvm.compile(program).walk(starts, solver._given_numbers(values), parameters)
     arrived, arrived_slowly = walked.status == walk.REACHED, slowly.status == walk.REACHED
     assert not (arrived & ~arrived_slowly).any()

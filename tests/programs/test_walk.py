@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.description.robots import robot_names
-from pm3dof_pin.kinematics.closing_programs import BoundProgram
+from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.continuation import Continuation
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import coordinate_scales
@@ -32,7 +32,7 @@ class Case(NamedTuple):
 
     solver: Continuation
     values: np.ndarray
-    bound: BoundProgram
+    parameters: np.ndarray
     walk: Walk
     start: np.ndarray
     targets: np.ndarray
@@ -56,10 +56,10 @@ def walked(name: str, given: str) -> Case:
     values = home + generator.uniform(-1.0, 1.0, (TARGETS, home.shape[1])) * widths
     values[3], values[4], values[5] = np.nan, home + 1e5 * coordinate_scales(robot, solver._coordinates), home
     targets = solver._given_numbers(values)
-    walk = solver._step.compiled.walk_program
+    walk, parameters = program_source(robot).printable_walk(robot, solver._task)
     start = np.tile(solver._home, (TARGETS, 1))
-    q, status = walk.evaluate(start, targets, solver._step.parameters)
-    return Case(solver, values, solver._step, walk, start, targets, q, status)
+    q, status = walk.evaluate(start, targets, parameters)
+    return Case(solver, values, parameters, walk, start, targets, q, status)
 
 
 def assert_same(case: Case, q: np.ndarray, status: np.ndarray) -> None:
@@ -98,17 +98,17 @@ def test_c(name: str, given: str, compiled_c: Callable[[str], Any]) -> None:
     go.argtypes = (pointer, pointer, pointer, ctypes.c_int, pointer)
     q, status = np.full_like(case.q, -7.0), np.empty(TARGETS)
     for k in range(TARGETS):
-        status[k] = -go(case.start[k], case.targets[k], case.bound.parameters, 100_000, q[k])
+        status[k] = -go(case.start[k], case.targets[k], case.parameters, 100_000, q[k])
     assert_same(case, q, status)
     assert (q[status != REACHED] == -7.0).all()
-    assert go(case.start[0], case.targets[0], case.bound.parameters, 1, np.empty(case.walk.nq)) == 4
+    assert go(case.start[0], case.targets[0], case.parameters, 1, np.empty(case.walk.nq)) == 4
 
 
 @pytest.mark.parametrize(("name", "given"), CASES)
 def test_javascript(name: str, given: str, run_javascript: Callable[[str, str], Any]) -> None:
     case = walked(name, given)
     rows = json.dumps([[repr(x) for x in row] for row in case.targets.tolist()])
-    source = f"""{javascript(case.walk.renamed("go"), case.bound.parameters)}
+    source = f"""{javascript(case.walk.renamed("go"), case.parameters)}
         const start = {json.dumps(case.start[0].tolist())};
         function end(row) {{
           const q = new Float64Array(start.length).fill(-7);
