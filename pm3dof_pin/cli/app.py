@@ -40,6 +40,7 @@ COMMANDS = {
     "calibrate": ("calibrate", "Calibrate a machine from measurements"),
     "compensate": ("compensate", "Commands that take a calibrated machine to a pose"),
     "export": ("export", "Files for MuJoCo, Drake, SDFormat, ROS and others"),
+    "convert": ("convert", "A robot in another dialect, and what it does not say"),
     "view": ("view", "The robot in a browser: move it, watch its stiffness"),
 }
 """For each command: its module in pm3dof_pin.cli (the function has the command's name) and its line in the list."""

@@ -28,7 +28,8 @@ _WRITERS: dict[str, Callable[[RobotDocument], dict[str, str]]] = {
     "urdf": description_texts,
 }
 
-_MESH_KINDS = {"drake": drake.MESH_KINDS, "mjcf": mjcf.MESH_KINDS}
+MESH_KINDS = {"drake": drake.MESH_KINDS, "mjcf": mjcf.MESH_KINDS}
+"""Suffixes of the mesh files that a format takes, if not all."""
 
 FORMATS = tuple(_WRITERS)
 """Names of the formats."""
@@ -85,7 +86,7 @@ def export_robot(
     document = read_robot(robot, meshes=meshes, **options)
     files = exported_files(document, format_name)
     target = Path(folder) / ros_package_name(document.name) if format_name == "ros" else Path(folder)
-    kinds = _MESH_KINDS.get(format_name)
+    kinds = MESH_KINDS.get(format_name)
     copies = document.meshes if kinds is None else document.meshes.for_kinds(kinds)
     return [*(write_text_atomically(target / name, text) for name, text in files.items()), *copies.write(target)]
 
