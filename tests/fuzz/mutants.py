@@ -347,6 +347,10 @@ def inputs(calibrations: Sequence[Path] = ()) -> dict[str, Input]:
             "*.xml",
             lambda folder: _read_robot(next(folder.glob("*.xml"))),
         ),
+        "sdf": Input(
+            [robot / "sdf" for robot in robots], "*.sdf", lambda folder: _read_robot(next(folder.glob("*.sdf")))
+        ),
+        "loops": Input([robot / "drake" for robot in robots], "*.urdf", read_urdf),
         "xacro": Input(robots, "xacro/**/*", lambda folder: _read_robot(next(folder.glob("xacro/*.urdf.xacro")))),
         "measurements": Input(calibrations, "measurements.csv", _read_measurements),
         "plan": Input(calibrations, "plan.csv", _read_plan),

@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 
 SCRIPT = Path(__file__).with_name("mutants.py")
-KINDS = ("urdf", "closures", "springs", "srdf", "errors", "parameters", "mjcf")
+KINDS = ("urdf", "closures", "springs", "srdf", "errors", "parameters", "mjcf", "sdf", "loops")
 
 
 @pytest.fixture(scope="module")

@@ -160,3 +160,28 @@ def test_lenient_loading_lists_what_was_read_over(tmp_path: Path) -> None:
     description = pm.load(path, lenient=True).description
     assert isinstance(description, Description)
     assert [str(entry.origin.line) for entry in description.unread] == ["5"]
+
+
+@pytest.mark.parametrize("name", robot_names())
+@pytest.mark.parametrize("dialect", ["mjcf/*.xml", "sdf/*.sdf", "drake/*.urdf"])
+def test_every_dialect_of_a_robot_is_the_same_machine(name: str, dialect: str) -> None:
+    """Loops, mobility, drives, mass and the placement of every body that both name, with the loops closed at home."""
+    original = Robot.load(name)
+    assert original.files is not None
+    (path,) = original.files.path.parents[1].glob(dialect)
+    robot = Robot.load(path)
+    assert DegreesOfFreedom(robot.home).count == DegreesOfFreedom(original.home).count
+    assert robot.home.closure_residual < 1e-12
+    if not dialect.startswith("sdf"):  # which has no word for drives
+        assert set(robot.actuated_joints) == set(original.actuated_joints)
+    masses = [pin.computeTotalMass(each.model) for each in (robot, original)]
+    assert masses[0] == pytest.approx(masses[1], abs=2e-3), "small masses stand for none there"
+    shared = {b.name for b in robot.description.bodies} & {b.name for b in original.description.bodies}
+    assert len(shared) > 6
+    root = next(body for body in ("base", "world", robot.description.root.name) if body in shared)
+    for body in sorted(shared):
+        found, expected = (
+            each.home.frame_placement(root).actInv(each.home.frame_placement(body)).translation
+            for each in (robot, original)
+        )
+        np.testing.assert_allclose(found, expected, atol=1e-9)
