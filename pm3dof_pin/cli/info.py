@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import Counter
 from dataclasses import replace
@@ -22,11 +23,12 @@ from pm3dof_pin.description.parameters import Parameter
 from pm3dof_pin.description.robots import RobotFiles, example_robot_names, robot_names
 from pm3dof_pin.elastic.springs import SPRING_SCHEMAS, read_springs
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, PM3DofError
+from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, InvalidValueError, PM3DofError
 from pm3dof_pin.export.named_configurations import write_configuration
 from pm3dof_pin.kinematics.assemblies import assembled_homes
 from pm3dof_pin.kinematics.branches import branches_of, start_of
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
+from pm3dof_pin.kinematics.mobility import generic_configuration
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.tolerances import CLOSED, RANK_GAP
 
@@ -178,15 +180,19 @@ def _closures(robot: Robot) -> dict[str, Any]:
 
 
 def _mobility(robot: Robot) -> dict[str, Any]:
-    """Count degrees of freedom at home; all None if the loops are open."""
+    """Count degrees of freedom at home, or near it if it is singular; all None if the loops are open."""
     keys = (
         *("mobility", "tool_mobility", "redundant_constraints", "free_degrees_of_freedom", "idle_degrees_of_freedom"),
-        "rank_gap",
+        *("rank_gap", "mobility_at_home"),
     )
     try:
         dof = DegreesOfFreedom(robot.home)
     except InvalidValueError:
         return dict.fromkeys(keys)
+    at_home = dof.count
+    with contextlib.suppress(ConvergenceError, InvalidValueError):
+        near = DegreesOfFreedom(generic_configuration(robot.home))
+        dof = near if near.count != at_home else dof
     has_tool = robot.tool_frame is not None
     counts = (
         dof.count,
@@ -195,6 +201,7 @@ def _mobility(robot: Robot) -> dict[str, Any]:
         dof.count - dof.at_actuators.rank.rank,
         dof.count - dof.idle.rank.rank if has_tool else None,
         gap if math.isfinite(gap := dof.constraint_rank.gap) else None,
+        at_home,
     )
     return dict(zip(keys, counts, strict=True))
 
@@ -362,6 +369,8 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
     else:
         of_tool = f" ({result['tool_mobility']} of the tool)" if result["tool_mobility"] is not None else ""
         lines.append(f"mobility {result['mobility']}{of_tool}, {result['redundant_constraints']} redundant constraints")
+    if result["mobility_at_home"] != result["mobility"]:
+        lines.append(f"mobility {result['mobility_at_home']} at home, a singular pose: the counts are those near it")
         if result["rank_gap"] is not None and result["rank_gap"] < RANK_GAP:
             lines[-1] += f", a borderline count: singular values fall by {result['rank_gap']:.0f} only"
     lines += _reach_line(result, robot)

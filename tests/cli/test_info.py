@@ -141,6 +141,20 @@ def test_a_walker_in_mjcf(tmp_path: Path) -> None:
     )
 
 
+def test_mobility_is_that_near_a_singular_home(tmp_path: Path) -> None:
+    """A flat four-bar of URDF+, all joints on a line: two freedoms there, one anywhere else."""
+    tree = links("base", "crank", "coupler", "rocker")
+    tree += hinge("a", "base", "crank", axis="0 0 1") + hinge("b", "crank", "coupler", "0.1 0 0", axis="0 0 1")
+    tree += hinge("c", "base", "rocker", axis="0 0 1")
+    ends = '<predecessor link="rocker"><origin xyz="0.3 0 0"/></predecessor>'
+    ends += '<successor link="coupler"><origin xyz="0.2 0 0"/></successor><axis xyz="0 0 1"/>'
+    (tmp_path / "bars.urdf").write_text(
+        f'<robot name="bars">{tree}<loop name="l" type="revolute">{ends}</loop></robot>'
+    )
+    result = info("--robot", tmp_path / "bars.urdf")
+    assert (result["mobility_at_home"], result["mobility"]) == (2, 1)
+
+
 def test_what_was_read_over_and_springs_that_cannot_be_used(tmp_path: Path) -> None:
     """A spring that pushes is no spring; elements without a meaning here are listed with their lines."""
     extra = '\n<gazebo reference="forearm"/><jonit/><limits/>'

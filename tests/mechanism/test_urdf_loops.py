@@ -59,6 +59,13 @@ def test_a_four_bar_has_one_degree_of_freedom(write_robot: Writer, dialect: str)
     np.testing.assert_allclose(found.q, [0.5, -0.5, 0.5], atol=1e-9)
 
 
+def test_independent_is_the_default_beside_joints_that_are_not(write_robot: Writer) -> None:
+    text = FOUR_BAR.format(LOOPS["URDF+"]).replace('independent="true"', "")
+    assert Robot.load(write_robot(text, "{}\n")).actuated_joints == ("j1",)
+    text = text.replace('independent="false"', "").replace('independent="False"', "")
+    assert Robot.load(write_robot(text, "{}\n")).actuated_joints == ()
+
+
 def test_every_closure_knows_its_line(write_robot: Writer) -> None:
     path = write_robot(FOUR_BAR.format("\n\n" + LOOPS["URDF+"]), "{}\n")
     (closure,) = read_urdf(read_xml(path)).closures

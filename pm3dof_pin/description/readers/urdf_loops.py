@@ -51,9 +51,7 @@ class UrdfLoops:
 
     def read(self, root: Element) -> Description:
         """Read the elements of the root, in the order of the file."""
-        independent = [
-            joint.get("name", "") for joint in children(root, "joint") if joint.get("independent", "").lower() == "true"
-        ]
+        independent = self._independent(root)
         for element in children(root):
             match element.tag:
                 case "loop":
@@ -79,6 +77,15 @@ class UrdfLoops:
             couplings=tuple(self.couplings),
             actuated_joints=tuple(dict.fromkeys(driven)) if is_closed else (),
         )
+
+    def _independent(self, root: Element) -> list[str]:
+        """Return the joints of URDF+ that are independent, which is the default in a file with any that are not."""
+        joints = [
+            joint for joint in children(root, "joint") if self.tree.joint_by_name[joint.get("name", "")].is_single
+        ]
+        if not any("independent" in joint.attrib for joint in joints):
+            return []
+        return [joint.get("name", "") for joint in joints if joint.get("independent", "true").lower() == "true"]
 
     def _loop(self, element: Element, first: str, second: str) -> None:
         ends = [child(element, tag) for tag in (first, second)]
