@@ -142,11 +142,11 @@ def test_a_walker_in_mjcf(tmp_path: Path) -> None:
 
 
 def test_mobility_is_that_near_a_singular_home(tmp_path: Path) -> None:
-    """A flat four-bar of URDF+, all joints on a line: two freedoms there, one anywhere else."""
+    """A parallelogram of URDF+ folded flat: two degrees of freedom there, one anywhere else."""
     tree = links("base", "crank", "coupler", "rocker")
     tree += hinge("a", "base", "crank", axis="0 0 1") + hinge("b", "crank", "coupler", "0.1 0 0", axis="0 0 1")
-    tree += hinge("c", "base", "rocker", axis="0 0 1")
-    ends = '<predecessor link="rocker"><origin xyz="0.3 0 0"/></predecessor>'
+    tree += hinge("c", "base", "rocker", "0.2 0 0", axis="0 0 1")
+    ends = '<predecessor link="rocker"><origin xyz="0.1 0 0"/></predecessor>'
     ends += '<successor link="coupler"><origin xyz="0.2 0 0"/></successor><axis xyz="0 0 1"/>'
     (tmp_path / "bars.urdf").write_text(
         f'<robot name="bars">{tree}<loop name="l" type="revolute">{ends}</loop></robot>'
