@@ -594,7 +594,7 @@ class Robot(PlacedMechanism):
             finite_array(f"{name} ({names})", targets, targets.shape)
         if (np.abs(targets[np.isfinite(targets)]) > _GREATEST).any():
             raise InvalidValueError(f"{name} ({names})", targets, f"numbers of at most {_GREATEST:g}")
-        if guess is None:  # iterates from a guess may be anywhere
+        if guess is None and not isinstance(values, Grid):  # iterates from a guess may be anywhere
             for coordinate, column in zip(coordinates, np.moveaxis(targets, -1, 0), strict=True):
                 self._require_unit(coordinate, column)
         shape = targets.shape[:-1]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.description.coordinates import Coordinate, Unit
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.typing import Vector
+from pm3dof_pin.typing import Array, Vector
 
 _TURN = 2.0 * math.pi
 _DEGREE = math.radians(1.0)
@@ -64,10 +64,8 @@ def unit_slip(robot: PlacedMechanism, coordinate: Coordinate, values: ArrayLike)
         return slip_in_range(values, "m", -size, size)
     if coordinate.tool is None:
         return None
-    numbers = np.asarray(values, dtype=float)
-    finite = numbers[np.isfinite(numbers)]
-    spans_more = finite.size and np.ptp([0.0, *finite[[finite.argmin(), finite.argmax()]]]) > _TURN * (1.0 + 1e-9)
-    return slip_in_range(values, "rad", -_TURN, _TURN, beyond=0.0) if spans_more else None
+    first, last = _ends(np.asarray(values, dtype=float))
+    return slip_in_range(values, "rad", -_TURN, _TURN, beyond=0.0) if last - first > _TURN * (1.0 + 1e-9) else None
 
 
 def slip_in_range(
@@ -78,19 +76,27 @@ def slip_in_range(
     They are, if a quarter of them are far outside (or `beyond` in magnitude), and in the other unit all would be
     sensible: not far from the range, or angles of at most a turn.
     """
-    numbers = np.asarray(values, dtype=float).reshape(-1)
-    finite = numbers[np.isfinite(numbers) & (numbers != 0.0)]
+    numbers = np.asarray(values, dtype=float)
     most = max(abs(lower), abs(upper))
     if unit == "m":
         limit, factor, word, base = _METRES_BEYOND * most, 1e-3, "millimetres", "metres"
     else:
         limit, factor, word, base = max(_RADIANS_BEYOND * most, _MIN_SUSPECTED_ANGLE), _DEGREE, "degrees", "radians"
     limit = limit if beyond is None else beyond
-    if not finite.size or np.abs(finite).max() <= limit:
+    if max(map(abs, _ends(numbers))) <= limit:
         return None
+    numbers = numbers.reshape(-1)
+    finite = numbers[np.isfinite(numbers) & (numbers != 0.0)]
     sizes, nearest = factor * np.abs(finite), min(abs(lower), abs(upper)) if lower * upper > 0.0 else 0.0
     plausible = sizes <= _TURN if unit == "rad" else (sizes <= limit) & (sizes >= nearest - _MARGIN * (upper - lower))
-    if not plausible.all() or (np.abs(finite) > limit).mean() < _MIN_SUSPECTED_PART:
+    if not finite.size or not plausible.all() or (np.abs(finite) > limit).mean() < _MIN_SUSPECTED_PART:
         return None
     index = int(np.nan_to_num(np.abs(numbers)).argmax())
     return UnitSlip(index, word, f"{base} from {lower:.4g} to {upper:.4g}")
+
+
+def _ends(numbers: Array) -> tuple[float, float]:
+    """Return the least and greatest number, zero included, NaN not."""
+    return float(np.fmin.reduce(numbers, axis=None, initial=0.0)), float(
+        np.fmax.reduce(numbers, axis=None, initial=0.0)
+    )
