@@ -10,6 +10,7 @@ import contextlib
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -66,12 +67,19 @@ def _units(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
         elif abs(factor * found - size) < _SAME_SIZE * size:
             yield Mistake(f"the positions are in {unit}", replace(measurements, positions=factor * positions))
     # too small; units that make commands too large break the joint limits
-    for heading, unit, factor in (("degrees", "radians", 180.0 / np.pi), ("millimetres", "metres", 1e3)):
-        larger = replace(measurements, commands=factor * measurements.commands)
-        yield Mistake(f"the commands are in {unit}, but the header says {heading}", larger)
-    sigmas = measurements.sigmas * np.where(np.arange(measurements.sigmas.shape[1]) < 3, 1e3, 1.0)
-    every = replace(larger, positions=1e3 * positions, points=1e3 * measurements.points, sigmas=sigmas)
-    yield Mistake("all lengths are in metres, but the header says millimetres", every)
+    units = np.array([command.unit for command in nominal.robot.commands])
+    for own, heading, unit, factor in (
+        ("rad", "degrees", "radians", 180.0 / np.pi),
+        ("m", "millimetres", "metres", 1e3),
+    ):
+        if own in units:
+            larger = measurements.commands * np.where(units == own, factor, 1.0)
+            text = f"the commands are in {unit}, but the header says {heading}"
+            yield Mistake(text, replace(measurements, commands=larger))
+    lengths: dict[str, Any] = {"positions": 1e3 * positions, "points": 1e3 * measurements.points}
+    lengths["commands"] = measurements.commands * np.where(units == "m", 1e3, 1.0)
+    lengths["sigmas"] = measurements.sigmas * np.where(np.arange(measurements.sigmas.shape[1]) < 3, 1e3, 1.0)
+    yield Mistake("all lengths are in metres, but the header says millimetres", replace(measurements, **lengths))
 
 
 def _drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
