@@ -157,10 +157,6 @@ def _seen(table: Table, positions: np.ndarray | None = None, turns: Rotation | N
     return found
 
 
-def _renamed(table: Table, names: dict[str, str]) -> Table:
-    return {names.get(name, name): values for name, values in table.items()}
-
-
 def _in_other_units(table: Table) -> Table:
     """Lengths in millimetres and angles in degrees, by the names of their columns."""
     factors = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}
@@ -215,21 +211,8 @@ def _scaled(names: tuple[str, ...] | str, factor: float) -> Spoil:
     return spoil
 
 
-def _without(*names: str) -> Spoil:
-    return lambda good: {name: values for name, values in good.table.items() if name not in names}
-
-
 def _rows(order: Callable[[int], np.ndarray]) -> Spoil:
     return lambda good: {name: values[order(len(values))] for name, values in good.table.items()}
-
-
-def _cell(column: str, row: int, text: str) -> Spoil:
-    def spoil(good: Good) -> str:
-        lines = [line.split(",") for line in as_text(good.table).splitlines()]
-        lines[row + 1][list(good.table).index(column)] = text
-        return "\n".join(map(",".join, lines)) + "\n"
-
-    return spoil
 
 
 def _with(name: str, values: Callable[[int], np.ndarray]) -> Spoil:
@@ -298,36 +281,10 @@ SWAP_XY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 WRONG: dict[str, Wrong] = {
     # the text
-    "semicolons": Wrong(lambda g: as_text(g.table, ";")),
-    "spaces": Wrong(lambda g: as_text(g.table, " "), "separated by|no column"),
-    "decimal commas": Wrong(lambda g: as_text(g.table, ";").replace(".", ",")),
-    "decimal commas alone": Wrong(lambda g: as_text(g.table).replace(".", ","), "cells, expected"),
     "millimetres and degrees": Wrong(lambda g: _in_other_units(g.table)),
-    "byte order mark": Wrong(lambda g: "\ufeff" + as_text(g.table)),
-    "CRLF": Wrong(lambda g: as_text(g.table).replace("\n", "\r\n")),
-    "empty lines": Wrong(lambda g: as_text(g.table).replace("\n", "\n\n")),
-    "trailing commas": Wrong(lambda g: as_text(g.table).replace("\n", ",\n"), "no name|without a name|empty"),
-    "spaces after commas": Wrong(lambda g: as_text(g.table).replace(",", ", ")),
-    "UTF-16": Wrong(lambda g: as_text(g.table).encode("utf-16").decode("latin-1"), "readable|UTF|no column"),
-    "empty": Wrong(lambda g: "", "no column|empty"),
-    "header alone": Wrong(lambda g: as_text(g.table).splitlines()[0] + "\n", "no complete row"),
-    "no header": Wrong(lambda g: "\n".join(as_text(g.table).splitlines()[1:]) + "\n", "no column|header"),
-    "a comment": Wrong(lambda g: "# tracker 7\n" + as_text(g.table)),
-    "upper case": Wrong(lambda g: as_text(g.table).replace("x_m", "X_M"), "no column x_m"),
     "millimetres in the header": Wrong(
         lambda g: as_text(g.table).replace("_m,", "_mm,"), "limits|scale|thousand|all lengths"
     ),
-    "commands in another unit": Wrong(
-        lambda g: _renamed(g.table, {n: n.split("_")[0] for n in g.commands}), "no column u1"
-    ),
-    "a column twice": Wrong(lambda g: as_text(g.table).replace("y_m", "x_m", 1), "more than once|no column"),
-    "no z": Wrong(_without("z_m"), "no column z_m"),
-    "no u1": Wrong(lambda g: {n: v for n, v in g.table.items() if n != g.commands[0]}, "no column u1"),
-    "one sigma": Wrong(_without("sigma_y_m"), "no column sigma_y_m"),
-    "a word": Wrong(_cell("x_m", 3, "lost"), r"line 5: x_m is 'lost'"),
-    "a cell too many": Wrong(_cell("x_m", 3, "0.2,0.3"), "line 5: .* cells, expected"),
-    "NaN": Wrong(_cell("x_m", 3, "nan"), "line 5: numbers are missing"),
-    "an empty cell": Wrong(_cell("x_m", 3, ""), "line 5: numbers are missing"),
     # the rows
     "one row": Wrong(_rows(lambda n: np.arange(1)), "one pose"),
     "one pose again and again": Wrong(_rows(lambda n: np.zeros(n, dtype=int)), "one pose"),
@@ -442,13 +399,20 @@ WRONG: dict[str, Wrong] = {
 
 
 REFUSED_BY_THE_READER = (
-    "spaces", "decimal commas alone", "trailing commas", "UTF-16", "empty",
-    "header alone", "no header", "upper case", "millimetres in the header", "commands in another unit",
-    "a column twice", "no z", "no u1", "one sigma", "a word", "a cell too many",
-    "commands a thousandfold", "commands in degrees", "millimetres", "quaternions x, y, z, w",
-    "quaternions conjugate", "quaternions of any length", "Euler angles", "targets in millimetres", "sigma negative",
-    "sigma zero", "approach of one drive", "approach of any size",
-)  # fmt: skip
+    "millimetres in the header",
+    "commands a thousandfold",
+    "commands in degrees",
+    "millimetres",
+    "quaternions x, y, z, w",
+    "quaternions conjugate",
+    "quaternions of any length",
+    "Euler angles",
+    "targets in millimetres",
+    "sigma negative",
+    "sigma zero",
+    "approach of one drive",
+    "approach of any size",
+)
 
 
 @dataclass(frozen=True)

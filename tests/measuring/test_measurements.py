@@ -277,6 +277,16 @@ def test_euler_angles_are_no_orientation(
         (HEADER + "\n0.24,0.24\n", "line 2: 2 cells, expected 10"),
         (HEADER + "\n0.24,0.24,0.24,zero,0,0.49,1,0,0,0\n", "line 2: x_m is 'zero', expected a number"),
         (HEADER + ",u1_m\n", "line 1: column u1_m appears more than once"),
+        (HEADER + ",\n", "line 1: column 11 has no name"),
+        (HEADER.replace(",", " ") + "\n", "line 1: columns are separated by ' '"),
+        (HEADER.upper() + "\n", "line 1: no column u1_m"),
+        (HEADER.replace("z_m,", "") + "\n", "line 1: no column z_m"),
+        (HEADER.replace(",qz", "") + "\n", "line 1: no column qz"),
+        (HEADER + ",sigma_x_m\n", "line 1: no column sigma_y_m"),
+        (HEADER + "\n0.24,0.24,0.24,0.2 m,0,0.49,1,0,0,0\n", "line 2: x_m is '0.2 m', expected a number"),
+        (HEADER + "\n0.24,0.24,0.24,1_0,0,0.49,1,0,0,0\n", "line 2: x_m is '1_0', expected a number"),
+        (HEADER + "\n0.24,0.24,0.24,0,0,0.49,1.5,0,0,0\n", "line 2: .* not a rotation: its length is 1.5"),
+        ("0.24,0.24,0.24,0,0,0.49,1,0,0,0\n", "line 1: no column u1_m"),
     ],
 )
 def test_broken_files(text: str, problem: str, tripod_errors: GeometricErrors, tmp_path: Path) -> None:
