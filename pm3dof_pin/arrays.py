@@ -73,20 +73,6 @@ def require_kind(name: str, value: object, kind: type, origin: str) -> None:
         raise InvalidValueError(name, value, f"{article} {kind.__name__}, as returned by {origin}")
 
 
-def with_neighbours(mask: NDArray[np.bool_], *, closed: int | None = None) -> NDArray[np.bool_]:
-    """Return a mask grown by its neighbours, diagonal ones included; the axis `closed` is periodic."""
-    grown = mask.copy()
-    for axis in range(mask.ndim):
-        along = np.moveaxis(grown, axis, 0)
-        before = along.copy()
-        along[1:] |= before[:-1]
-        along[:-1] |= before[1:]
-        if axis == closed:
-            along[0] |= before[-1]
-            along[-1] |= before[0]
-    return grown
-
-
 def listed(numbers: Vector) -> str:
     """Format a vector in one line for a message: (0.1 0 -2.5)."""
     return f"({' '.join(f'{number:.4g}' for number in numbers)})"

@@ -99,7 +99,7 @@ def transmission(
     poses = robot.solve(robot_grid(robot, ranges), on_failure="nan")
     box = compute(robot, poses, on_failure="nan", **limits)
     model = serial_model(box, kp=kp, kd=kd)
-    result = {"robot": robot.name} | transmission_result(at, kp=kp, kd=kd) | {"box": serial_model_result(model)}
+    result = {"robot": robot.name} | _transmission_result(at, kp=kp, kd=kd) | {"box": _serial_model_result(model)}
     files = []
     if out is not None:
         files = write_tables(box, out)
@@ -109,7 +109,7 @@ def transmission(
         message(f"pm3dof: {' and '.join(unknown)}: not described; results that need them are left out")
 
 
-def transmission_result(at: Transmission, *, kp: float | None = None, kd: float | None = None) -> dict[str, Any]:
+def _transmission_result(at: Transmission, *, kp: float | None = None, kd: float | None = None) -> dict[str, Any]:
     """Return the transmission at one pose for JSON; keys end in their unit."""
     result: dict[str, Any] = {
         "joints": at.joints,
@@ -144,7 +144,7 @@ def transmission_result(at: Transmission, *, kp: float | None = None, kd: float 
     return result
 
 
-def serial_model_result(model: SerialModel) -> dict[str, Any]:
+def _serial_model_result(model: SerialModel) -> dict[str, Any]:
     """Return the constants of a serial model for JSON."""
 
     def spread(found: Spread) -> dict[str, Any]:
