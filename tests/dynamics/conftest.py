@@ -121,6 +121,10 @@ def make_four_bar() -> Callable[..., Robot]:
             )
             end = "pin"
             model.addFrame(pin.Frame(end, pin_joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        first, second, third = FourBar().angles(1.0)
+        angles = {"crank_joint": first, "coupler_joint": second - first, "rocker_joint": third}
+        angles["pin_joint"] = second - third
+        model.referenceConfigurations["home"] = np.array([angles[name] for name in list(model.names)[1:]])
         return Robot(
             model,
             [LoopClosure("coupler_tip", end, closure)],
