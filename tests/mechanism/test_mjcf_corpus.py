@@ -319,3 +319,19 @@ def test_what_is_not_supported_is_refused_by_name_and_line_or_listed(
     with pytest.raises(DescriptionError, match=rf"line \d+: .*{said}.*lenient"):
         read_mjcf(path)
     assert any(said.partition(": ")[2] in str(entry) for entry in read_mjcf(path, lenient=True).unread)
+
+
+@pytest.mark.parametrize("kind", ["copies", "included"])
+def test_files_that_multiply_without_end_are_refused(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "model.xml"
+    body = "<body><joint/><geom size='0.1'/></body>"
+    if kind == "copies":
+        nested = "<replicate count='1000'>" * 4 + body + "</replicate>" * 4
+        path.write_text(f"<mujoco><worldbody>{nested}</worldbody></mujoco>", encoding="utf-8")
+    for level in range(19) if kind == "included" else ():
+        twice = f"<include file='m{level + 1}.xml'/>" * 2
+        text = f"<mujoco><worldbody>{twice}</worldbody></mujoco>" if level == 0 else f"<x>{twice}{body}</x>"
+        (tmp_path / ("model.xml" if level == 0 else f"m{level}.xml")).write_text(text, encoding="utf-8")
+    (tmp_path / "m19.xml").write_text(f"<x>{body}</x>", encoding="utf-8")
+    with pytest.raises(DescriptionError, match="expected at most 50000 elements"):
+        read_mjcf(path)

@@ -36,7 +36,7 @@ from pm3dof_pin.description.mesh_files import read_meshes
 from pm3dof_pin.description.own_files import require_own
 from pm3dof_pin.description.physical_bounds import ANY, LENGTH, MASS, MOMENT, NOT_NEGATIVE, SIZE, Bounds
 from pm3dof_pin.description.readers.elements import ElementReader, free_name, named
-from pm3dof_pin.description.readers.mjcf_document import MjcfDocument
+from pm3dof_pin.description.readers.mjcf_document import TIMES, MjcfDocument
 from pm3dof_pin.description.readers.mjcf_inertia import SOLIDS, geom_inertia, mesh_inertia
 from pm3dof_pin.description.xml_file import Element, child, children
 from pm3dof_pin.exceptions import FrameNotFoundError, JointNotFoundError
@@ -424,7 +424,8 @@ class _MjcfReader(ElementReader):
     def _scaled_bodies(self) -> list[Body]:
         """Return the bodies with the total mass, and least masses, that the compiler settings ask for."""
         compiler, root = self.document.compiler, self.document.root
-        section = child(root, "compiler") or root
+        section = child(root, "compiler")
+        section = root if section is None else section
         bodies = list(self.bodies.values())
         settings = Element("compiler", dict(compiler))
         settings.path, settings.line = section.path, section.line
@@ -754,7 +755,13 @@ class _MjcfReader(ElementReader):
         given = element if given is None else given
         place = named(given)
         position = np.array(self.numbers(element, "pos", 3, LENGTH, place, (0.0, 0.0, 0.0)))
-        return pin.SE3(self._rotation(element, given, place), position)
+        pose = pin.SE3(self._rotation(element, given, place), position)
+        if TIMES not in element.attrib:
+            return pose
+        repeated = pin.SE3.Identity()
+        for _ in range(int(element.attrib[TIMES])):
+            repeated = repeated * pose
+        return repeated
 
     def _rotation(self, element: Element, given: Element, place: str) -> np.ndarray:
         attributes = element.attrib

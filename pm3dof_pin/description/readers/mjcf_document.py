@@ -11,7 +11,7 @@ from pm3dof_pin.description.xml_file import Element, children, read_xml
 
 _MAX_NESTED = 20  # includes and attached models within each other
 _MAX_COPIES = 1000  # of a <replicate>
-_MAX_ELEMENTS = 200_000
+_MAX_ELEMENTS = 50_000
 _ACTUATORS = (
     *("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion", "plugin"),
     "dcmotor",
@@ -21,6 +21,9 @@ _NAMES = frozenset({
     "geom1", "geom2", "site", "site1", "site2", "sidesite", "cranksite", "slidersite", "refsite", "tendon", "tendon1",
     "tendon2", "mesh", "material", "texture", "hfield", "target", "actuator", "objname", "refname", "flex",
 })  # fmt: skip
+TIMES = "(times)"
+"""How many times the pose of a frame is applied, an attribute of those that hold copies."""
+
 _FOLDER = "(folder)"  # among the settings of a model, the folder of its file
 _MERGED = ("default", "asset", "equality", "actuator", "tendon", "contact")  # sections of an attached model
 
@@ -33,6 +36,7 @@ class MjcfDocument:
         folders: folders that other files may be read from; by default those of the file's package.
         within: files that attach this one.
         root: its root element if it is known already.
+        budget: number of elements that may still be read or copied, shared with attached models.
 
     Raises:
         DescriptionError: a file is unreadable, not XML or not MJCF, includes itself, or lies outside the folders.
@@ -44,14 +48,15 @@ class MjcfDocument:
         folders: tuple[Path, ...] = (),
         within: tuple[Path, ...] = (),
         root: Element | None = None,
+        budget: list[int] | None = None,
     ) -> None:
         self.path = path
         self.folders = folders or (package_of(path),)
         self._within = (*within, path.resolve())
         self.root = read_xml(path) if root is None else root
+        self._budget = [_MAX_ELEMENTS] if budget is None else budget
+        self._spend(self.root)
         self._include(self.root, ())
-        if sum(1 for _ in self.root.iter()) > _MAX_ELEMENTS:
-            raise self.root.origin.error("<mujoco>", f"expected at most {_MAX_ELEMENTS} elements")
         self.compiler: dict[str, str] = {_FOLDER: str(path.resolve().parent)}
         for element in children(self.root, "compiler"):
             self.compiler |= element.attrib
@@ -91,8 +96,15 @@ class MjcfDocument:
                     raise entry.origin.error(place, "includes itself")
                 require_own(included, self.folders, self.path, place)
                 content = read_xml(included)
+                self._spend(content)
                 self._include(content, (*within, included))
                 parent[index : index + 1] = list(content)
+
+    def _spend(self, element: Element) -> None:
+        """Count the parts of an element, which includes, copies and attached models could multiply without end."""
+        self._budget[0] -= sum(1 for _ in element.iter())
+        if self._budget[0] < 0:
+            raise element.origin.error("<mujoco>", f"expected at most {_MAX_ELEMENTS} elements, copies included")
 
     # Copies
 
@@ -104,21 +116,19 @@ class MjcfDocument:
                     parent[index : index + 1] = self._copies(entry)
 
     def _copies(self, element: Element) -> list[Element]:
-        """Return nested frames, each placed in the one before, with the copies of what an element contains."""
-        count = int(element.get("count", "1")) if element.get("count", "1").isdigit() else 0
+        """Return a frame for each copy of what an element contains, each placed in the one before."""
+        count = int(element.get("count", "1")) if element.get("count", "1").isdecimal() else 0
         if not 1 <= count <= _MAX_COPIES:
             raise element.origin.error("<replicate>", f"expected a count from 1 to {_MAX_COPIES}")
         pose = {"pos": element.get("offset", "0 0 0"), "euler": element.get("euler", "0 0 0")}
         frames: list[Element] = []
         for number in range(count):
+            self._spend(element)
             suffix = f"{element.get('sep', '')}{number:0{len(str(count - 1))}d}"
-            frame = _new("frame", {} if number == 0 else pose, element)
-            for part in children(element):
-                frame.append(self._copied(part, suffix))
-            if frames:
-                frames[-1].append(frame)
-            frames.append(frame)
-        return frames[:1]
+            frames.append(_new("frame", {**pose, TIMES: str(number)}, element))
+            self._keep(frames[-1], self.compiler_of(element))
+            frames[-1].extend([self._copied(part, suffix) for part in children(element)])
+        return frames
 
     def _copied(self, element: Element, suffix: str) -> Element:
         """Return a copy with a suffix to all names."""
@@ -126,7 +136,7 @@ class MjcfDocument:
         if "name" in element.attrib:
             copied.set("name", element.attrib["name"] + suffix)
         self._keep(copied, self.compiler_of(element))
-        copied.extend(self._copied(part, suffix) for part in children(element))
+        copied.extend([self._copied(part, suffix) for part in children(element)])
         return copied
 
     def _keep(self, element: Element, compiler: Mapping[str, str]) -> None:
@@ -156,7 +166,7 @@ class MjcfDocument:
         if path in self._within or len(self._within) > _MAX_NESTED:
             raise element.origin.error(place, "attaches itself")
         require_own(path, self.folders, self.path, place)
-        other = MjcfDocument(path, self.folders, self._within)
+        other = MjcfDocument(path, self.folders, self._within, budget=self._budget)
         prefix = element.get("prefix", "")
         other.defaults.prefix(prefix)
         self.defaults.classes |= other.defaults.classes

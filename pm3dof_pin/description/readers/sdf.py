@@ -240,7 +240,7 @@ class _SdfReader(ElementReader):
         return Placement.from_angles(numbers[:3], tuple(unit * angle for angle in numbers[3:]))
 
     @staticmethod
-    def _text(element: Element, tag: str, default: str = "") -> str:
+    def _text(element: Element | None, tag: str, default: str = "") -> str:
         found = child(element, tag)
         return default if found is None else (found.text or "").strip() or default
 
@@ -323,7 +323,7 @@ class _SdfReader(ElementReader):
             raise element.origin.error(place, f"expected one of {known}, not '{kind}'")
         ends = []
         for tag in ("parent", "child"):
-            given = self._text(element, tag) or self._text(child(element, tag) or element, "link")
+            given = self._text(element, tag) or self._text(child(element, tag), "link")
             if not given:
                 raise element.origin.error(f"{place}: {tag}", "expected a link")
             ends.append(self._link_of(self._resolved(given, scope, element)))
@@ -338,7 +338,7 @@ class _SdfReader(ElementReader):
             assert xyz is not None
             raise xyz.origin.error(f"{place}: {tag}", "expected a direction, not zero")
         reference = None if xyz is None else xyz.get("expressed_in")
-        if self._text(child(element, tag) or element, "use_parent_model_frame") in ("true", "1"):
+        if self._text(child(element, tag), "use_parent_model_frame") in ("true", "1"):
             reference = "__model__"
         if reference is not None:
             turn = self._placement(self._resolved(reference, scope, element)).rotation
