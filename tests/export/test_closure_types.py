@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 import yaml
 
 from pm3dof_pin.description.closure_types import CLOSURE_TYPES
-from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.formats import export_robot
 from pm3dof_pin.export.robot_document import read_robot
@@ -22,13 +21,9 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
 
-_LINK = """<link name="{0}"><inertial><origin xyz="0.05 0 0"/><mass value="1"/>
-<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-"""
-_JOINT = """<joint name="{name}" type="{kind}"><origin xyz="{xyz}" rpy="{rpy}"/>
-<parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>
-<limit lower="-3" upper="3" effort="10" velocity="1"/></joint>
-"""
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+from compatibility_table import table, write_chain
+
 _SAYS = {
     "mjcf": {"3d", "6d", "hinge", "distance"},
     "drake": {"3d", "6d", "hinge"},
@@ -37,61 +32,6 @@ _SAYS = {
     "urdf": set(CLOSURE_TYPES),
     "ros": set(CLOSURE_TYPES),
 }
-_RELATIVE = {
-    "3d": pin.SE3(pin.utils.rotate("y", 0.5), np.zeros(3)),
-    "hinge": pin.SE3(pin.utils.rotate("z", 0.6), np.zeros(3)),
-    "universal": pin.SE3(pin.utils.rotate("x", 0.5) @ pin.utils.rotate("y", -0.3), np.zeros(3)),
-    "prismatic": pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1])),
-    "cylindrical": pin.SE3(pin.utils.rotate("z", 0.6), np.array([0.0, 0.0, 0.1])),
-    "planar": pin.SE3(pin.utils.rotate("z", 0.6), np.array([0.1, -0.1, 0.0])),
-    "distance": pin.SE3(pin.utils.rotate("y", 0.5), np.array([0.1, 0.2, 0.2])),
-}
-
-
-def _place(numbers: Array) -> str:
-    return " ".join(repr(float(number)) for number in numbers)
-
-
-def _write_robot(folder: Path, kind: str, couplings: tuple[dict[str, object], ...] = ()) -> Path:
-    """Write a chain of nine joints, closed on the base by one closure whose axis is its own."""
-    rng = np.random.default_rng(5)
-    tree, at = _LINK.format("base"), pin.SE3.Identity()
-    for k in range(9):
-        rpy, xyz = rng.uniform(-1.5, 1.5, 3), rng.uniform(-0.2, 0.2, 3)
-        at = at * pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
-        tree += _LINK.format(f"link{k}")
-        names = {"name": f"joint{k}", "parent": f"link{k - 1}" if k else "base", "child": f"link{k}"}
-        joint = "prismatic" if k == 4 else "revolute"
-        tree += _JOINT.format(**names, kind=joint, xyz=_place(xyz), rpy=_place(rpy), axis="0 1 0")
-    row, relative = CLOSURE_TYPES[kind], _RELATIVE.get(kind, pin.SE3.Identity())
-    axis = (0.6, 0.0, 0.8) if row.axis is not None else None
-    axis_b = (0.0, 0.8, -0.6) if row.has_two_axes else None
-    length = float(np.linalg.norm(relative.translation)) if row.is_distance else None
-    loop = LoopClosure("seat", "tip", row.name, axis=axis, axis_b=axis_b, length=length)
-    first, second = (pin.SE3(basis, np.zeros(3)) for basis in loop.bases or (np.eye(3), np.eye(3)))
-    tip = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.4), np.array([0.1, 0.05, 0.0]))
-    seat = at * tip * second * relative.inverse() * first.inverse()
-    for name, parent, place in (("seat", "base", seat), ("tip", "link8", tip)):
-        tree += f'<link name="{name}"/>\n'
-        rpy = _place(pin.rpy.matrixToRpy(place.rotation))
-        tree += _JOINT.format(
-            **{"name": f"{name}_fixed", "kind": "fixed", "axis": "1 0 0", "parent": parent, "child": name},
-            **{"xyz": _place(place.translation), "rpy": rpy},
-        )
-    path = folder / "chain.urdf"
-    path.write_text(f'<robot name="chain">\n{tree}</robot>\n')
-    free = 9 - row.size - len(couplings)
-    content = {
-        "closed_loop": [["seat", "tip"]],
-        "type": [kind],
-        "name_mot": [f"joint{k}" for k in range(free)],
-        "closure_axes": [{"axis": list(axis), **({"axis_b": list(axis_b)} if axis_b else {})} if axis else None],
-        "closure_lengths": [length],
-        "couplings": list(couplings),
-        "tool_frame": "tip",
-    }
-    path.with_suffix(".closures.yaml").write_text(yaml.safe_dump(content))
-    return path
 
 
 def _closed(robot: Robot) -> list[Configuration]:
@@ -110,7 +50,7 @@ def _motions(jacobian: Array) -> Array:
 @pytest.mark.parametrize("kind", CLOSURE_TYPES)
 @pytest.mark.parametrize("form", _SAYS)
 def test_a_type_is_written_or_refused_by_name(tmp_path: Path, form: str, kind: str) -> None:
-    path = _write_robot(tmp_path, kind)
+    path = write_chain(tmp_path, kind)
     if kind in _SAYS[form]:
         assert export_robot(path, form, tmp_path / "out")
     else:
@@ -120,7 +60,7 @@ def test_a_type_is_written_or_refused_by_name(tmp_path: Path, form: str, kind: s
 
 @pytest.mark.parametrize("kind", sorted(_SAYS["mjcf"]))
 def test_mujoco_permits_the_same_motions(tmp_path: Path, kind: str) -> None:
-    path = _write_robot(tmp_path, kind)
+    path = write_chain(tmp_path, kind)
     robot = Robot.load(path)
     (file,) = export_robot(path, "mjcf", tmp_path / "out")
     model = mujoco.MjModel.from_xml_path(str(file))
@@ -135,7 +75,7 @@ def test_mujoco_permits_the_same_motions(tmp_path: Path, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", sorted(_SAYS["drake"]))
 def test_points_for_drake_permit_the_same_motions(tmp_path: Path, kind: str) -> None:
-    path = _write_robot(tmp_path, kind)
+    path = write_chain(tmp_path, kind)
     (file,) = export_robot(path, "drake", tmp_path / "out")
     again, robot = Robot.load(file), Robot.load(path)
     for configuration in _closed(robot):
@@ -148,7 +88,7 @@ def test_points_for_drake_permit_the_same_motions(tmp_path: Path, kind: str) -> 
 
 @pytest.mark.parametrize("kind", sorted(_SAYS["sdf"]))
 def test_sdformat_accepts_the_joints(tmp_path: Path, kind: str) -> None:
-    (file,) = export_robot(_write_robot(tmp_path, kind), "sdf", tmp_path / "out")
+    (file,) = export_robot(write_chain(tmp_path, kind), "sdf", tmp_path / "out")
     joint = ElementTree.parse(file).find(".//joint[@name='seat_tip']")
     assert joint is not None
     assert joint.get("type") == {"3d": "ball", "6d": "fixed", "hinge": "revolute"}.get(kind, kind)
@@ -166,7 +106,7 @@ _POLYNOMIAL = {"joint": "joint1", "of": {"joint0": [0.5, 0.3, -0.2, 0.1]}, "offs
 
 @pytest.mark.parametrize("coupling", [_COUPLING, _SUM, _POLYNOMIAL])
 def test_mujoco_couples_the_same_joints(tmp_path: Path, coupling: dict[str, object]) -> None:
-    path = _write_robot(tmp_path, "3d", (coupling | {"offset": 0.0},))
+    path = write_chain(tmp_path, "3d", (coupling | {"offset": 0.0},))
     robot = Robot.load(path)
     (file,) = export_robot(path, "mjcf", tmp_path / "out")
     model = mujoco.MjModel.from_xml_path(str(file))
@@ -182,7 +122,7 @@ def test_mujoco_couples_the_same_joints(tmp_path: Path, coupling: dict[str, obje
 
 
 def test_drake_reads_a_linear_coupling(tmp_path: Path) -> None:
-    path = _write_robot(tmp_path, "3d", (_COUPLING,))
+    path = write_chain(tmp_path, "3d", (_COUPLING,))
     (file,) = export_robot(path, "drake", tmp_path / "out")
     assert Robot.load(file).couplings == Robot.load(path).couplings
 
@@ -192,13 +132,13 @@ def test_drake_reads_a_linear_coupling(tmp_path: Path) -> None:
     [("drake", _SUM), ("drake", _POLYNOMIAL), ("sdf", _POLYNOMIAL), ("gepetto", _COUPLING)],
 )
 def test_couplings_that_a_format_cannot_say_are_named(tmp_path: Path, form: str, coupling: dict[str, object]) -> None:
-    path = _write_robot(tmp_path, "3d", (coupling,))
+    path = write_chain(tmp_path, "3d", (coupling,))
     with pytest.raises(DescriptionError, match=r"coupling joint1 = f\(joint0.*cannot be expressed"):
         export_robot(path, form, tmp_path / "out")
 
 
 def test_sdformat_mimics_between_coordinates_from_home(tmp_path: Path) -> None:
-    path = _write_robot(tmp_path, "3d", (_COUPLING,))
+    path = write_chain(tmp_path, "3d", (_COUPLING,))
     (file,) = export_robot(path, "sdf", tmp_path / "out")
     mimic = ElementTree.parse(file).find(".//joint[@name='joint1']/axis/mimic")
     assert mimic is not None
@@ -211,14 +151,14 @@ def test_sdformat_mimics_between_coordinates_from_home(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", CLOSURE_TYPES)
 def test_the_description_itself_says_everything(tmp_path: Path, kind: str) -> None:
-    path = _write_robot(tmp_path, kind, (_POLYNOMIAL,))
+    path = write_chain(tmp_path, kind, (_POLYNOMIAL,))
     export_robot(path, "urdf", tmp_path / "out")
     again, robot = Robot.load(tmp_path / "out" / "chain.urdf"), Robot.load(path)
     assert (again.closures, again.couplings) == (robot.closures, robot.couplings)
 
 
 def test_gears_and_rotors_reach_mujoco(tmp_path: Path) -> None:
-    path = _write_robot(tmp_path, "3d")
+    path = write_chain(tmp_path, "3d")
     transmission = """<transmission name="t"><type>SimpleTransmission</type><joint name="joint0"/>
     <actuator name="m"><mechanicalReduction>50</mechanicalReduction></actuator></transmission></robot>"""
     path.write_text(path.read_text().replace("</robot>", transmission))
@@ -229,10 +169,24 @@ def test_gears_and_rotors_reach_mujoco(tmp_path: Path) -> None:
 
 
 def test_names_that_yaml_would_misread_are_quoted(tmp_path: Path) -> None:
-    path = _write_robot(tmp_path, "3d")
+    path = write_chain(tmp_path, "3d")
     for name in ("yes: {", "~", "a # b"):
         text = path.read_text()
         path.write_text(text.replace('"base"', f'"{name}"'))
         view = yaml.safe_load(ros_files(read_robot(path))["rviz/display.rviz"])
         assert view["Visualization Manager"]["Global Options"]["Fixed Frame"] == name
         path.write_text(text)
+
+
+def test_the_table_of_the_documentation_is_up_to_date() -> None:
+    assert (Path(__file__).parents[2] / "docs" / "tables" / "compatibility.txt").read_text(encoding="utf-8") == table()
+
+
+def test_mujoco_says_distances_and_sums_so_that_they_are_read_back(tmp_path: Path) -> None:
+    path = write_chain(tmp_path, "distance", (_SUM,))
+    (file,) = export_robot(path, "mjcf", tmp_path / "out")
+    again, robot = Robot.load(file), Robot.load(path)
+    for q in np.random.default_rng(2).uniform(-0.5, 0.5, (3, 9)):
+        read, configuration = again.configuration(q), robot.configuration(q)
+        np.testing.assert_allclose(read.closure_error, configuration.closure_error, atol=1e-12)
+        np.testing.assert_allclose(read.constraint_jacobian, configuration.constraint_jacobian, atol=1e-12)

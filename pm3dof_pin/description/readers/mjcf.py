@@ -39,7 +39,7 @@ from pm3dof_pin.description.readers.elements import ElementReader, free_name, na
 from pm3dof_pin.description.readers.mjcf_document import TIMES, MjcfDocument
 from pm3dof_pin.description.readers.mjcf_inertia import SOLIDS, geom_inertia, mesh_inertia
 from pm3dof_pin.description.xml_file import Element, child, children
-from pm3dof_pin.exceptions import FrameNotFoundError, JointNotFoundError
+from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNotFoundError
 
 _logger = logging.getLogger(__name__)
 
@@ -504,9 +504,13 @@ class _MjcfReader(ElementReader):
             element = self._resolved(given, "", kind="equality")
             if given.tag == "joint" or not self._is_active(element, given):
                 continue
+            if given.tag == "tendon":
+                tendon, excess = self._held_tendon(element, given)
+                if tendon is not None and tendon.tag == "spatial":
+                    closures.append(self._distance(tendon, given, excess))
+                continue
             if given.tag not in ("connect", "weld"):
-                if given.tag != "tendon":
-                    self.refuse(given, "is not supported")
+                self.refuse(given, "is not supported")
                 continue
             name = given.get("name") or f"{given.tag}{index + 1}"
             place = f"<{given.tag} name='{name}'>"
@@ -543,6 +547,51 @@ class _MjcfReader(ElementReader):
             names.append(frame)
         return names[0], names[1]
 
+    def _held_tendon(self, element: Element, given: Element) -> tuple[Element | None, float]:
+        """Return the tendon that an equality holds, None if it is not read, and its length beyond the initial one."""
+        place = named(given)
+        tendons = {tendon.get("name", ""): tendon for tendon in self.document.sections("tendon")}
+        tendon = tendons.get(element.get("tendon1", ""))
+        if tendon is None:
+            raise given.origin.error(place, f"expected an existing tendon, not '{element.get('tendon1', '')}'")
+        if element.get("tendon2"):
+            self.refuse(given, "is not supported: of two tendons")
+            return None, 0.0
+        return tendon, self.numbers(element, "polycoef", None, ANY, place, (0.0,))[0]
+
+    def _distance(self, tendon: Element, given: Element, excess: float) -> LoopClosure:
+        """Return the closure by which a straight tendon between two sites keeps its length."""
+        place = named(tendon)
+        frames = [self.sites.get(entry.get("site", ""), "") for entry in children(tendon, "site")]
+        if len(frames) != len(children(tendon)) or len(frames) != 2 or not all(frames):
+            raise tendon.origin.error(place, "is held by an equality, expected two existing sites and nothing else")
+        ends = [self.initial[self.frames[name].body] * self.frames[name].placement.se3 for name in frames]
+        length = float(np.linalg.norm(ends[1].translation - ends[0].translation)) + excess
+        try:
+            return LoopClosure(frames[0], frames[1], "distance", length=length, origin=given.origin)
+        except InvalidValueError as error:
+            raise given.origin.error(named(given), f"expected a positive length, not {length:g}") from error
+
+    def _fixed_tendon(self, tendon: Element, excess: float, zeros: dict[str, float]) -> Coupling | tuple[str, float]:
+        """Return the coupling by which a fixed tendon keeps its length; of one joint, its name and coordinate."""
+        place = named(tendon)
+        factors: dict[str, float] = {}
+        for entry in children(tendon, "joint"):
+            name = entry.get("joint", "")
+            self._require_single(name, f"{entry.origin}: {place}")
+            factors[name] = factors.get(name, 0.0) + self.numbers(entry, "coef", 1, ANY, place)[0]
+        follower = next((name for name, factor in factors.items() if factor != 0.0), None)
+        if follower is None:
+            raise tendon.origin.error(place, "has no joints, expected some")
+        share = factors.pop(follower)
+        offset = excess / share + zeros[follower]
+        others = {name: -factor / share for name, factor in factors.items() if factor != 0.0}
+        if not others:
+            return follower, offset
+        offset -= sum(ratio * zeros[name] for name, ratio in others.items())
+        ratios = tuple((ratio,) for ratio in others.values())
+        return Coupling(follower, tuple(others), ratios, offset, tendon.origin)
+
     def _is_active(self, element: Element, given: Element) -> bool:
         if element.get("active") == "false":
             self.read_over(given, "is not active")
@@ -562,7 +611,13 @@ class _MjcfReader(ElementReader):
                 continue
             place = named(given)
             if given.tag == "tendon":
-                self.refuse(given, "is not supported")
+                tendon, excess = self._held_tendon(element, given)
+                if tendon is not None and tendon.tag == "fixed":
+                    found = self._fixed_tendon(tendon, excess, zeros)
+                    if isinstance(found, Coupling):
+                        couplings.append(found)
+                    else:
+                        held[found[0]] = found[1]
                 continue
             powers = self.numbers(element, "polycoef", None, ANY, place, (0.0, 1.0, 0.0, 0.0, 0.0))
             powers = (*powers, *(0.0,) * (5 - len(powers)))[:5]
