@@ -22,7 +22,7 @@ from pm3dof_pin.calibration.learned_model import LearnedModel
 from pm3dof_pin.exceptions import ConvergenceError
 from pm3dof_pin.typing import Array, Indices
 
-_LEAST_AMPLITUDE = 1e-4  # of the deviations' scale
+_MIN_AMPLITUDE = 1e-4  # of the deviations' scale
 _MOST_AMPLITUDE = 30.0
 # Prior medians of the scales, whose logarithms have standard deviation _SCALE_SPREAD; inputs are in -1 .. 1.
 _SMOOTH_SCALE, _OWN_SCALE = 2.5, 0.25
@@ -221,7 +221,7 @@ def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
     """Return the logarithms of greatest posterior probability."""
     scale = float(np.sqrt(np.mean(deviations**2) + np.mean(noise))) or _UNSEEN_SCALE
     lengths = np.log([*[_SMOOTH_SCALE] * kernel.count, _OWN_SCALE])
-    floor = np.log(_LEAST_AMPLITUDE * scale)
+    floor = np.log(_MIN_AMPLITUDE * scale)
     bounds = [(floor, np.log(_MOST_AMPLITUDE * scale))] * 3 + [(floor, np.log(3.0 * scale))]
     bounds += [(length - 3.0, length + 3.0) for length in lengths]
 

@@ -37,7 +37,7 @@ _SETTLED = 1e-6  # change of weights
 _HUBER = 0.95  # fraction of good measurements with full weight
 _TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one dimension
 _FALSE_ALARM = 0.01  # probability of naming an outlier in a set of good measurements
-_LEAST_FREEDOM = 0.2  # of the measurements
+_MIN_FREEDOM = 0.2  # of the measurements
 _SMOOTH = 2.0  # times the noise: smooth effects of this size over the workspace do not stand out from it
 _LEVELS: Array = np.linspace(1.0 / 128.0, 127.0 / 128.0, 64)  # probabilities to average over
 
@@ -163,7 +163,7 @@ class Linearisation:
         for kind, (used, own) in enumerate(zip(self._used, self.dimensions.T, strict=True)):
             if (seen := own > 0).any():
                 median = np.median(squares[seen, kind] / _chi_square_quantile(0.5, own[seen]))
-                freedom = max(_LEAST_FREEDOM, 1.0 - used / own.sum())
+                freedom = max(_MIN_FREEDOM, 1.0 - used / own.sum())
                 factors[kind] = max(1.0, np.sqrt(median / freedom))
         return factors
 

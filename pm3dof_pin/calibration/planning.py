@@ -62,7 +62,7 @@ MIN_DISTANCE = 0.05
 
 _PROCESS_NOISE = 0.05  # standard deviation of a measured deviation's noise, over that of the deviations
 _MAX_PASSES = 50
-_LEAST_GAIN = 1e-9
+_MIN_GAIN = 1e-9
 _SHUFFLES = 20
 
 
@@ -363,7 +363,7 @@ class PlanningProblem:
                 others = np.delete(near, place, axis=0).any(axis=0)
                 gains[others] = -np.inf
                 winner = int(np.argmax(gains))
-                if gains[winner] > gains[chosen[place]] + _LEAST_GAIN * abs(gains[chosen[place]]):
+                if gains[winner] > gains[chosen[place]] + _MIN_GAIN * abs(gains[chosen[place]]):
                     chosen[place], near[place] = winner, self._near(winner)
                     information = without + self._rows[winner].T @ self._rows[winner]
                     swapped = True

@@ -88,6 +88,38 @@ def test_a_machine_is_not_made_worse(name: str, frame: str | None, kinds: tuple[
             assert missed(calibration.compensation.compensate(wanted).commands) <= missed(wanted.commands), kind
 
 
+@pytest.mark.parametrize("name", ["linear_delta", "hexapod"])
+def test_distances_to_several_centres_are_several_observations_of_a_pose(name: str) -> None:
+    """Four draw wires at each of 35 poses: 140 equations, of 35 visits; the machine obeys the stated bounds."""
+    errors, rng = GeometricErrors.load(name), np.random.default_rng(0)
+    poses, wanted = (reachable_poses(errors.robot, count, rng) for count in (35, 60))
+    truth = errors.apply(errors.sample(rng))
+    rows = np.repeat(np.arange(35), 4)
+    centres = poses.positions.mean(axis=0) + 0.5 * np.array([[1, 0, 0.3], [-1, 0.5, 0.3], [0, -1, 0.4], [0.2, 0.3, -1]])
+    origins = np.tile(centres, (35, 1))
+    reached = truth.forward(poses.commands, guess=poses.q).positions[rows]
+    measured = Measurements(
+        poses.commands[rows],
+        poses.positions[rows],
+        None,
+        np.tile([1e-5, np.inf, np.inf], (140, 1)),
+        np.zeros((140, 3)),
+        distances=np.linalg.norm(reached - origins, axis=1) + rng.normal(0.0, 1e-5, 140),
+        origins=origins,
+        partners=np.full(140, -1),
+    )
+    found = calibrate(measured, errors, "lm")
+    assert found.held_out is not None
+    assert len(found.held_out.after) == 35
+    answer = found.compensate(wanted)
+    missed = [
+        tip_error(pose_difference(wanted.transforms, truth.forward(commands, guess=wanted.q).transforms))
+        for commands in (wanted.commands, answer.commands)
+    ]
+    assert np.mean(missed[1] ** 2) < 0.5 * np.mean(missed[0] ** 2)
+    assert np.mean(missed[1] < answer.error_bound) > 0.9
+
+
 @pytest.mark.usefixtures("report_without_pictures")
 def test_the_command_takes_them(run: Callable[..., object], tmp_path: Path) -> None:
     """Some cells of the output of `measure` are dropped, then whole columns."""
