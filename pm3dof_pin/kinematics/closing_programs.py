@@ -13,7 +13,7 @@ from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.cache import compiled, stored
 from pm3dof_pin.programs.checks import checks_program
 from pm3dof_pin.programs.closing import Task, closing_program, damped_closing_program
-from pm3dof_pin.programs.llvm import Compiled, Iteration, Walked
+from pm3dof_pin.programs.llvm import Compiled, Walked
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.programs.walk import Walk, branch_program, control_program, start_program
@@ -49,8 +49,8 @@ class BoundProgram(NamedTuple):
         """Walk from starts to targets, see :meth:`~pm3dof_pin.programs.llvm.Compiled.walk`."""
         return self.compiled.walk(starts, targets, self.parameters, shortest=shortest, tolerance=tolerance, threads=1)
 
-    def iterate(self, inputs: Matrix, tolerance: float, max_steps: int) -> Iteration:
-        """Repeat the program until its residual is small."""
+    def iterate(self, inputs: Matrix, tolerance: float, max_steps: int) -> tuple[Array, Array]:
+        """Repeat the program until its residual is small; return states and residuals."""
         return self.compiled.iterate(inputs, self.parameters, tolerance=tolerance, max_steps=max_steps)
 
     def with_doubt(self, inputs: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
@@ -110,9 +110,8 @@ class ProgramSource:
         numbers, dense = self._geometry_of(robot)
         own, samples = self._robot, self.samples
         name = f"branch {coordinates}"
-        walk = walk.with_branch(
-            self._stored(name, dense, lambda: branch_program(own, coordinates, samples, dense=dense))
-        )
+        branch = self._stored(name, dense, lambda: branch_program(own, coordinates, samples, dense=dense))
+        walk = walk.with_branch(branch, robot.closure_tolerance)
         return walk, geometry.chosen(numbers, walk.parameters)
 
     def damped_step(self, robot: PlacedMechanism, task: Task) -> BoundProgram:

@@ -201,7 +201,7 @@ class Continuation:
         rows = np.arange(len(q))
         for _ in range(_DAMPED_ROUNDS):
             before = inputs[rows, 2 * nq + 1]
-            states, residuals, _ = self._damped_step.iterate(inputs[rows], NEARLY_CLOSED, _DAMPED_STEPS)
+            states, residuals = self._damped_step.iterate(inputs[rows], NEARLY_CLOSED, _DAMPED_STEPS)
             inputs[rows, : 2 * nq + 2] = states
             rows = rows[(residuals > NEARLY_CLOSED) & (states[:, 2 * nq + 1] < _AT_REST * before)]
             if not rows.size:
@@ -211,7 +211,7 @@ class Continuation:
         ends = np.array(inputs[:, :nq])
         near = np.flatnonzero(inputs[:, 2 * nq + 1] < NEARLY_CLOSED)
         inputs = self._inputs(ends[near], numbers[near])
-        ends[near] = self._step.iterate(inputs, self._robot.closure_tolerance, _LAST_STEPS).states[:, :nq]
+        ends[near] = self._step.iterate(inputs, self._robot.closure_tolerance, _LAST_STEPS)[0][:, :nq]
         return ends, moving
 
     def _residuals(self, q: Matrix, targets: Matrix) -> Vector:

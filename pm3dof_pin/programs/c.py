@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.programs.printing import literal, parameter_values, statements
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.walk import CLOSED, SHORTEST_LEG, Walk
+from pm3dof_pin.programs.walk import SHORTEST_LEG, Walk
 from pm3dof_pin.typing import Vector
 
 _CONDITIONS = frozenset(("less", "and", "or", "not"))
@@ -85,7 +85,7 @@ def c99(
         n_stepped=len(walk.step.results),
         n_state=len(walk.start.results),
         shortest=repr(SHORTEST_LEG),
-        tolerance=repr(CLOSED),
+        tolerance=repr(walk.tolerance),
         status=walk.status,
         singular=walk.singular,
         reached=walk.reached.start,

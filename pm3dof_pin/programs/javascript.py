@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.programs.printing import EXPRESSIONS, MAX_STEPS, literal, parameter_values, statements
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.walk import CLOSED, SHORTEST_LEG, SINGULAR, Walk
+from pm3dof_pin.programs.walk import SHORTEST_LEG, SINGULAR, Walk
 
 _FUNCTIONS = ("sqrt", "sin", "cos", "atan2", "floor")
 _EXPRESSIONS = EXPRESSIONS | {name: f"Math.{EXPRESSIONS[name]}" for name in _FUNCTIONS} | {"absolute": "Math.abs({0})"}
@@ -38,7 +38,7 @@ def javascript(program: Program | Walk, parameters: ArrayLike | None = None) -> 
     loop = f"""function {name}(start,targets,{p}q){{
 "use strict";
 const block=new Float64Array({stepped + state}),state=block.subarray({stepped});
-{name}_start([...start,...targets,{SHORTEST_LEG!r},{CLOSED!r}],{p}state);
+{name}_start([...start,...targets,{SHORTEST_LEG!r},{walk.tolerance!r}],{p}state);
 for(let k=0;k<{MAX_STEPS}&&state[{walk.status}]>0;k++){{
 {name}_step(state,{p}block);
 {name}_control(block,{p}state);

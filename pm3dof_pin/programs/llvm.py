@@ -49,14 +49,6 @@ class Walked(NamedTuple):
     status: Array  #: see :data:`~pm3dof_pin.programs.walk.REACHED`, shape=(n,)
 
 
-class Iteration(NamedTuple):
-    """The result of an iteration."""
-
-    states: Array  #: shape=(n, size of the state)
-    residuals: Array  #: residual at the start of the last step, shape=(n,)
-    steps: Array  #: number of steps taken, shape=(n,)
-
-
 @cache
 def target() -> Target:
     """Return this processor, with the number of poses it computes at once; ProgramError if LLVM does not support it."""
@@ -210,11 +202,12 @@ class Compiled:
         tolerance: float,
         max_steps: int,
         threads: int | None = None,
-    ) -> Iteration:
+    ) -> tuple[Array, Array]:
         """Repeat the program, whose outputs are the next state and a residual, until the residual is small.
 
         The last step is the one that finds a residual of at most `tolerance` or NaN, or the last of `max_steps`. Inputs
-        are the initial state, then the constant inputs, shape=(n, number of inputs).
+        are the initial state, then the constant inputs, shape=(n, number of inputs). Returns the states, shape=(n, size
+        of the state), and the residuals at the start of the last step, shape=(n,).
 
         Raises:
             InvalidValueError: an array has the wrong shape, or the program's outputs are not a state and a residual.
@@ -225,9 +218,9 @@ class Compiled:
             raise InvalidValueError("max_steps", max_steps, "at least 1")
         n = self.program.state_size
         rows = _rows("inputs", inputs, len(self.program.inputs))
-        results = np.empty((len(rows), n + 2))
+        results = np.empty((len(rows), n + 1))
         self._run("iterate", rows, parameters, results, threads, tolerance, max_steps)
-        return Iteration(results[:, :n], results[:, n], results[:, n + 1])
+        return results[:, :n], results[:, n]
 
     def walk(
         self,
@@ -261,10 +254,10 @@ class Compiled:
         self._run("start", _rows("starts", begins, len(walk.start.inputs)), parameters, states, threads)
         rows = np.arange(len(goals))
         while rows.size:  # those that have ended make room for others in the lanes
-            ends = np.empty((len(rows), walk.status + 2))
+            ends = np.empty((len(rows), walk.status + 1))
             begins = states if len(rows) == len(states) else states[rows]
             self._run("walk", begins, parameters, ends, threads, 0.0, _STEPS_AT_ONCE, length=_STEPS_AT_ONCE)
-            states[rows, : walk.status + 1] = ends[:, :-1]
+            states[rows, : walk.status + 1] = ends
             rows = rows[ends[:, walk.status] > 0.0]
         return Walked(states[:, walk.reached], states[:, walk.status])
 

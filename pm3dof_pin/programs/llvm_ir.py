@@ -72,9 +72,9 @@ def module(program: Program | Walk, lanes: int, opaque_pointers: bool, fused: bo
     Those of a walk are the functions of its step. The first two take
     ``(workspace, inputs, stride, parameters, outputs, stride, n)``: aligned room for `workspace_size` doubles, rows of
     doubles, strides in doubles, counts and strides as 64-bit integers. `iterate` also takes a tolerance and the maximum
-    number of steps; its rows of outputs are the last state, the residual at the start of the last step, and the number
-    of steps. With a walk, `start` is as `evaluate`; `walk` is as `iterate`, with the walk's whole state as inputs, and
-    the status as residual. For `march` see :meth:`pm3dof_pin.programs.llvm.Compiled.march`.
+    number of steps; its rows of outputs are the last state and the residual at the start of the last step. With a walk,
+    `start` is as `evaluate`; `walk` is as `iterate`, with the walk's whole state as inputs, and the status as residual.
+    For `march` see :meth:`pm3dof_pin.programs.llvm.Compiled.march`.
 
     Args:
         program: the program, or a walk.
@@ -550,8 +550,7 @@ class _Module(_VectorText):
         self.do("br label %step")
         self.steps("loop", lines, n, tolerance)
         self.store_vector("%residual_next", "%block_inputs", n * self.lanes)
-        self.store_vector("%steps_next", "%block_inputs", (n + 1) * self.lanes)
-        self.scatter("outputs", n + 2, "%block_inputs")
+        self.scatter("outputs", n + 1, "%block_inputs")
         self.end_blocks()
 
     def steps(self, before: str, lines: Sequence[_Line], n: int, tolerance: str) -> None:
@@ -562,7 +561,6 @@ class _Module(_VectorText):
         self.do(f"%taken = phi i64 [ 0, %{before} ], [ %taken_next, %step ]")
         self.do(f"%active = phi {self.truths} [ {everywhere}, %{before} ], [ %active_next, %step ]")
         self.do(f"%residual = phi {self.vector} [ {zeros}, %{before} ], [ %residual_next, %step ]")
-        self.do(f"%steps = phi {self.vector} [ {zeros}, %{before} ], [ %steps_next, %step ]")
         if len(lines) == 1:
             self.call_line(lines[0])
         else:
@@ -574,8 +572,6 @@ class _Module(_VectorText):
             self.store_vector(self.select("%active", new, old), "%block_inputs", k * self.lanes)
         fresh = self.load_vector("%block_outputs", n * self.lanes)
         self.do(f"%residual_next = select {self.truths} %active, {self.vector} {fresh}, {self.vector} %residual")
-        one_more = self.add("%steps", self.splat(1.0))
-        self.do(f"%steps_next = select {self.truths} %active, {self.vector} {one_more}, {self.vector} %steps")
         self.do("%taken_next = add i64 %taken, 1")
         above = self.compare("ogt", fresh, tolerance)
         self.do(f"%active_next = and {self.truths} %active, {above}")

@@ -100,12 +100,15 @@ class Walk:
     start: Program
     control: Program
     branch: Program | None = None  #: needed by printers only, see :meth:`with_branch`
+    tolerance: float = CLOSED  #: closure error of a pose that counts as reached, in printed walks [m, rad]
 
     @classmethod
-    def from_programs(cls, *programs: Program) -> Walk:
+    def from_programs(cls, step: Program, start: Program, control: Program, branch: Program | None = None) -> Walk:
         """Return the walk of programs, each of which gets the parameters of all."""
+        programs = [program for program in (step, start, control, branch) if program is not None]
         names = tuple(dict.fromkeys(name for program in programs for name in program.parameters))
-        return cls(*(program.with_parameters(names) for program in programs))
+        widened = [program.with_parameters(names) for program in programs]
+        return cls(widened[0], widened[1], widened[2], widened[3] if branch is not None else None)
 
     @cached_property
     def nq(self) -> int:
@@ -117,9 +120,10 @@ class Walk:
         """Name of the step."""
         return self.step.name
 
-    def with_branch(self, branch: Program) -> Walk:
-        """Return the same walk with a program that tells branches apart, and with its parameters."""
-        return Walk.from_programs(self.step, self.start, self.control, branch)
+    def with_branch(self, branch: Program, tolerance: float = CLOSED) -> Walk:
+        """Return the walk to print: with a program that tells branches apart, its parameters, and a tolerance."""
+        walk = Walk.from_programs(self.step, self.start, self.control, branch)
+        return replace(walk, tolerance=tolerance)
 
     def renamed(self, name: str) -> Walk:
         """Return the same walk with another name."""
@@ -177,7 +181,9 @@ class Walk:
             The last accepted configurations, shape=(n, nq), and the statuses, shape=(n,).
         """
         q, goals = np.asarray(starts, dtype=float), np.asarray(targets, dtype=float)
-        states = self.start.evaluate(np.column_stack([q, goals, np.tile([shortest, CLOSED], (len(q), 1))]), parameters)
+        states = self.start.evaluate(
+            np.column_stack([q, goals, np.tile([shortest, self.tolerance], (len(q), 1))]), parameters
+        )
         while (rows := np.flatnonzero(states[:, self.status] > 0.0)).size:
             stepped = self.step.evaluate(states[rows, : len(self.step.inputs)], parameters)
             states[rows, : self.status + 1] = self.control.evaluate(np.hstack([stepped, states[rows]]), parameters)

@@ -140,17 +140,16 @@ def root_finder(lanes=None):
 def test_iteration_stops_lane_by_lane(lanes):
     squares = np.array([4.0, 2.0, 9.0, 1e4, np.nan, 5.0, 0.25, 1e-2, 3.0])
     starts = np.array([2.0, 1.0, 2.9, 1.0, 1.0, 1e9, 0.5, 0.3, np.nan])
-    result = root_finder(lanes).iterate(np.column_stack([starts, squares]), tolerance=1e-5, max_steps=20)
-    for start, square, state, residual, steps in zip(starts, squares, *(*result.states.T, *result[1:]), strict=True):
+    states, residuals = root_finder(lanes).iterate(np.column_stack([starts, squares]), tolerance=1e-5, max_steps=20)
+    for start, square, state, residual in zip(starts, squares, states[:, 0], residuals, strict=True):
         x, taken, left = start, 0, math.inf
         while taken < 20 and left > 1e-5:
             left = abs(x * x - square)
             x, taken = 0.5 * (x + square / x), taken + 1
-        assert steps == taken
         assert state == pytest.approx(x, rel=1e-14, nan_ok=True)
         assert residual == pytest.approx(left, rel=1e-6, abs=1e-12, nan_ok=True)
-    assert result.steps.max() == 20  # 1e9 is too far away
-    assert result.states[0, 0] == 2.0
+    assert residuals[5] > 1.0  # 1e9 is too far away
+    assert states[0, 0] == 2.0
 
 
 def test_iteration_does_not_depend_on_neighbours_and_threads(monkeypatch):
@@ -159,10 +158,10 @@ def test_iteration_does_not_depend_on_neighbours_and_threads(monkeypatch):
     inputs = rng.uniform(0.1, 100.0, size=(9_001, 2))
     find = root_finder()
     whole = find.iterate(inputs, tolerance=1e-6, max_steps=30, threads=1)
-    assert np.allclose(whole.states[:, 0], np.sqrt(inputs[:, 1]), rtol=1e-15)
+    assert np.allclose(whole[0][:, 0], np.sqrt(inputs[:, 1]), rtol=1e-15)
     again = find.iterate(inputs, tolerance=1e-6, max_steps=30, threads=3)
     part = find.iterate(inputs[3:10], tolerance=1e-6, max_steps=30)
-    for k in range(3):
+    for k in range(2):
         assert np.array_equal(whole[k], again[k])
         assert np.array_equal(whole[k][3:10], part[k])
 
