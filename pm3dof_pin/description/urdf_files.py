@@ -32,20 +32,20 @@ def urdf_files(description: Description, *, floating: bool = True, own_meshes: b
     Raises:
         DescriptionError: a joint type cannot be written.
     """
-    texts: dict[str, str] = {}
-    if (files := description.files) is not None:
-        if files.errors.is_file():
-            texts[".errors.yaml"] = files.errors.read_text(encoding="utf-8")
-        if is_plain_urdf(description, floating=floating):
-            paths = {CLOSURES_SUFFIX: files.closures, ".srdf": files.srdf}
-            texts |= {key: path.read_text(encoding="utf-8") for key, path in paths.items() if path is not None}
-            return texts | {".urdf": files.tree_text()}
+    files, errors = description.files, {}
+    if files is not None and files.errors.is_file():
+        errors[".errors.yaml"] = files.errors.read_text(encoding="utf-8")
+    if files is not None and is_plain_urdf(description, floating=floating):
+        paths = {CLOSURES_SUFFIX: files.closures, ".srdf": files.srdf}
+        others = {key: path.read_text(encoding="utf-8") for key, path in paths.items() if path is not None}
+        return {".urdf": files.tree_text(), **others, **errors}
     simple = with_simple_joints(description, floating=floating)
     entries = closure_entries(simple)
-    return texts | {
+    return {
         ".urdf": _document(_robot(with_frames_as_bodies(simple), own_meshes=own_meshes)),
         CLOSURES_SUFFIX: yaml.safe_dump(entries, sort_keys=False, width=120) if entries else "{}\n",
         ".srdf": _document(_configurations(simple)),
+        **errors,
     }
 
 
