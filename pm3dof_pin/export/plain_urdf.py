@@ -20,7 +20,8 @@ def description_texts(robot: RobotDocument, mesh_prefix: str = "") -> dict[str, 
     texts[".urdf"] = _with_meshes(robot, texts[".urdf"], mesh_prefix)
     if (tool_frame := robot.mechanism.tool_frame) is not None:
         texts[CLOSURES_SUFFIX] = _with_tool_frame(robot, texts.get(CLOSURES_SUFFIX), tool_frame)
-    return {robot.file_name + suffix: text for suffix, text in texts.items()}
+    order = (".urdf", CLOSURES_SUFFIX, ".errors.yaml", ".srdf")
+    return {robot.file_name + suffix: texts[suffix] for suffix in order if suffix in texts}
 
 
 def _with_tool_frame(robot: RobotDocument, closures: str | None, tool_frame: str) -> str:
