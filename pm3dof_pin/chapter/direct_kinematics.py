@@ -14,7 +14,7 @@ from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ShapeErro
 from pm3dof_pin.typing import Array
 
 TOLERANCE = 1e-13  # largest link-length error of a solution [m]
-_MOST_STEPS = 50
+_MAX_STEPS = 50
 
 # Origins of the half-angle tangents, chosen so that no pose of interest has an infinite tangent, and that symmetric
 # machines are not in a special position for the elimination.
@@ -34,7 +34,7 @@ class DirectKinematics:
 
 
 def newton(
-    tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None, *, most_steps: int = _MOST_STEPS
+    tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None, *, most_steps: int = _MAX_STEPS
 ) -> DirectKinematics:
     """Solve the direct kinematics by Newton's method on the link lengths; quadratic near a solution.
 

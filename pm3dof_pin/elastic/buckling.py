@@ -24,7 +24,7 @@ from pm3dof_pin.typing import Vector
 _log = logging.getLogger(__name__)
 
 _REACH = 10.0
-_MOST_POINTS = 1000
+_MAX_POINTS = 1000
 _AT_BIFURCATION = 1e-6  # least eigenvalue at a bifurcation point
 _TYPICAL_MOTION = 0.1  # rad, or characteristic lengths
 
@@ -104,7 +104,7 @@ def search_buckling(
     if not np.isfinite(largest):
         return BucklingSearch(None, 0.0, "the loads neither move the mechanism nor change its stiffness")
     point, length = path.begin(start, min(estimate, largest, moving)), FIRST_STEP
-    for _ in range(_MOST_POINTS):
+    for _ in range(_MAX_POINTS):
         try:
             step = path.advance(point, length)
         except DeflectionRangeError as error:
@@ -133,7 +133,7 @@ def search_buckling(
             break
         point, length = step.end, 2.0 * step.length
     else:
-        return BucklingSearch(None, point.factor, f"stable at each of {_MOST_POINTS} points of the path")
+        return BucklingSearch(None, point.factor, f"stable at each of {_MAX_POINTS} points of the path")
     return BucklingSearch(None, largest, "stable up to the largest factor")
 
 

@@ -35,19 +35,19 @@ FIRST_STEP = 0.2
 _CORRECTIONS = 12
 _BRANCHING = 1e-6  # smaller singular values leave more than one direction
 _SHARPEST_TURN = 0.9  # least cosine of the angle between the directions at two points
-_GREATEST_DRIFT = 0.5  # total corrections, relative to the step
+_MAX_DRIFT = 0.5  # total corrections, relative to the step
 _LONGEST_MOTION = 0.3  # rad, or characteristic lengths
 _SHORTEST_STEP = 1e-6
 _MEETING = 1e-5  # longest step assumed to cross a bifurcation
 _NEARLY_SINGULAR = 1e2  # times the rank threshold
 _AT_RANGE = 0.02  # longest step assumed to leave the springs' range
 _GROWTH = 2.0
-_MOST_POINTS = 1000
+_MAX_POINTS = 1000
 _BRACKETINGS = 60
-_MOST_FALLING = 500
+_MAX_FALLS = 500
 _LONGEST_FALL = 0.1  # rad, or characteristic lengths
 _HALVINGS = 20
-_LEAST_DAMPING = 1e-3  # relative to the springs' stiffness
+_MIN_DAMPING = 1e-3  # relative to the springs' stiffness
 _AT_REST = 1e-3  # relative to the loads; a smaller imbalance means that an unstable equilibrium is near
 _PUSH = 1e-2  # relative to the loads
 _BRANCH_STEPS = (0.02, 0.05, 0.1, 0.2)
@@ -168,13 +168,13 @@ class LoadPath:
         Steps are implicit, (T + shift) y = -residual: Newton steps where T is positive definite. At an unstable
         equilibrium the mechanism is pushed off along the softest motion.
         """
-        for step in range(_MOST_FALLING):
+        for step in range(_MAX_FALLS):
             if state.out_of_range:
                 break
             least, residual = state.least_eigenvalue, state.bearing_residual
             if least > 0.0 and state.balanced:
                 return state, step
-            shift = max(0.0, _LEAST_DAMPING - 2.0 * least)
+            shift = max(0.0, _MIN_DAMPING - 2.0 * least)
             move = -np.linalg.solve(state.tangent + shift * np.eye(len(residual)), residual)
             if least <= 0.0 and state.imbalance < _AT_REST * state.load_size:
                 move += np.copysign(_PUSH * state.load_size, state.softest @ move) * state.softest
@@ -237,7 +237,7 @@ class LoadPath:
         if point.load_grows != grows:
             point = point.reversed()
         length = FIRST_STEP
-        for _ in range(_MOST_POINTS):
+        for _ in range(_MAX_POINTS):
             if point.factor == factor:
                 return point
             remaining = (factor - point.factor) / (self._typical_factor * point.direction[-1])
@@ -254,7 +254,7 @@ class LoadPath:
             if step.limit_point:
                 self._give_up(self.critical_point(step), "it turns back there, at a limit point")
             point, length = step.end, _GROWTH * step.length
-        self._give_up(point, f"a factor of {factor:.6g} is not reached after {_MOST_POINTS} points")
+        self._give_up(point, f"a factor of {factor:.6g} is not reached after {_MAX_POINTS} points")
 
     def critical_point(self, step: PathStep) -> PathPoint:
         """Return the point within a step where an eigenvalue of the tangent changes sign.
@@ -332,7 +332,7 @@ class LoadPath:
         state = point.state.moved(velocity, self._applied(factor))
         drift = 0.0
         for count in range(_CORRECTIONS):
-            if state is None or drift > _GREATEST_DRIFT * length:
+            if state is None or drift > _MAX_DRIFT * length:
                 return None
             balanced = state.balanced
             change = self._correction(state, factor_fixed=target is not None)

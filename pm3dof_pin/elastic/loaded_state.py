@@ -20,12 +20,12 @@ _CLOSED = 1e-11  # closure residual of an equilibrium [characteristic lengths, o
 _EQUILIBRIUM = 1e-10  # imbalance, relative to the loads
 _LARGEST_BEND = 1.0  # rotation of one spring that represents a body, for small-deflection stiffness [rad]
 _SYMMETRY = 1e-6
-_MOST_STEPS = 60  # Newton steps
+_MAX_STEPS = 60  # Newton steps
 _CLOSING_STEPS = 20
 _CLOSING_ROUNDS = 4
 _LONGEST_STEP = 0.3  # rad, or characteristic lengths
 _SHORTEST_FRACTION = 1e-5
-_LEAST_GAIN = 1e-4
+_MIN_GAIN = 1e-4
 
 
 class LoadedState:
@@ -202,7 +202,7 @@ class LoadedState:
             ConvergenceError: no equilibrium was found.
         """
         state = self.moved(np.zeros_like(self.deflections)) or self
-        for step in range(_MOST_STEPS):
+        for step in range(_MAX_STEPS):
             balanced = state.balanced
             better = _line_search(state)
             if balanced:
@@ -215,7 +215,7 @@ class LoadedState:
             "the equilibrium under load",
             residual,
             "N or N m",
-            _MOST_STEPS,
+            _MAX_STEPS,
             "the loads may exceed what the mechanism can bear, or need to be applied in steps",
         )
 
@@ -288,7 +288,7 @@ def _line_search(state: LoadedState) -> LoadedState | None:
     fraction = min(1.0, _LONGEST_STEP / longest) if longest > 0.0 else 1.0
     while fraction > _SHORTEST_FRACTION:
         trial = state.moved(fraction * velocity)
-        if trial is not None and trial.imbalance <= (1.0 - _LEAST_GAIN * fraction) * state.imbalance:
+        if trial is not None and trial.imbalance <= (1.0 - _MIN_GAIN * fraction) * state.imbalance:
             return trial
         fraction /= 2.0
     return None

@@ -36,7 +36,7 @@ from pm3dof_pin.typing import Matrix
 
 JointSpringUnit = Literal["N/m", "N m/rad"]
 
-MOST_ELEMENTS = 100
+MAX_ELEMENTS = 100
 """Largest number of elements of one cantilever."""
 
 
@@ -118,8 +118,8 @@ class CantileverSpring:
             raise InvalidValueError("mass", self.mass, "a finite mass, not negative")
         if not isinstance(self.length, JointLength):
             _require_positive("length", self.length)
-        if not 1 <= self.elements <= MOST_ELEMENTS:
-            raise InvalidValueError("elements", self.elements, f"a number from 1 to {MOST_ELEMENTS}")
+        if not 1 <= self.elements <= MAX_ELEMENTS:
+            raise InvalidValueError("elements", self.elements, f"a number from 1 to {MAX_ELEMENTS}")
         if self.elements > 1 and isinstance(self.length, JointLength):
             raise InvalidValueError("elements", self.elements, "1, since a joint changes the length")
 

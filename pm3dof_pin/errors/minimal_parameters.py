@@ -29,11 +29,11 @@ from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Matrix
 
-LEAST_EFFECT = 3e-4
+MIN_EFFECT = 3e-4
 """Effects that add less than this fraction of the greatest are left out: 30 nm if the greatest is 0.1 mm."""
 
 _CLOSING = 20  # number of poses at which the loops must close
-_LEAST_POSES = 60
+_MIN_POSES = 60
 _DISTINCT = (0.1, 1e-2, 1e-3, 1e-8)  # independent fraction of an effect: more distinct ones go first
 _ALIGNED = 0.99
 
@@ -43,11 +43,11 @@ _PREFERENCE: tuple[_Kind, ...] = ("zero of a drive", "length", "position", "axis
 
 def poses_needed(robot: Robot) -> int:
     """Return the number of poses needed to distinguish a robot's error parameters."""
-    return max(_LEAST_POSES, len(all_parameters(robot)) // 2)
+    return max(_MIN_POSES, len(all_parameters(robot)) // 2)
 
 
 def minimal_parameters(
-    errors: GeometricErrors, poses: Poses, *, first: Iterable[str] = (), least_effect: float = LEAST_EFFECT
+    errors: GeometricErrors, poses: Poses, *, first: Iterable[str] = (), least_effect: float = MIN_EFFECT
 ) -> GeometricErrors:
     """Return the smallest set of parameters with the same effect on the tool as all of them.
 

@@ -45,7 +45,7 @@ ErrorClass = Literal["kinematic parameters", "thermal", "stiffness", "drives", "
 CLASSES: tuple[ErrorClass, ...] = get_args(ErrorClass)
 """All classes, in their order."""
 
-GREATEST_VIBRATION = 3.0
+MAX_VIBRATION = 3.0
 """Greatest vibration assumed in worst cases, in standard deviations, since normal numbers are unbounded."""
 
 LINKS_SHARE = 0.5
@@ -372,7 +372,7 @@ class _SourcesAtPoses:
         words = {"tool": "of the tool", "motors": "of the motors", "axes": "of the system's axes, through the floor"}
         for cause, covariance in ({} if vibration is None else vibration.covariances_by_cause(self._poses)).items():
             name, effects = f"vibration_{cause}", covariance_root(covariance)
-            yield self._source(name, words[cause], effects, greatest=GREATEST_VIBRATION, repeats=False)
+            yield self._source(name, words[cause], effects, greatest=MAX_VIBRATION, repeats=False)
 
     def _names(self, group: str) -> list[str]:
         return [parameter.name for parameter in self._sources.others.parameters if parameter.group == group]

@@ -17,7 +17,7 @@ from pm3dof_pin.viewer.scene import Json, Scene
 COLOUR: Colour = (0.78, 0.07, 0.13)
 _AXIS_COLOURS: tuple[Colour, Colour, Colour] = ((0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.12, 0.47, 0.71))
 
-_LEAST = 1e-6  # a zero length would leave no direction
+_MIN_LENGTH = 1e-6  # a zero length would leave no direction
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class ActuatorAxis:
         A force of 1 has length `scale` [m]; the half width of the head is `width` [m], less for short arrows.
         """
         turn = objects.turn_z_to(self.direction if force >= 0.0 else -self.direction)
-        length = max(scale * abs(force), _LEAST * width)
+        length = max(scale * abs(force), _MIN_LENGTH * width)
         slim = min(width, 0.5 * length)
         return objects.transform(turn * np.array([slim, slim, length]), self.origin)
 

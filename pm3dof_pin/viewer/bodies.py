@@ -38,7 +38,7 @@ _PASSIVE_COLOUR: Colour = (0.55, 0.57, 0.60)
 _GREY = (0.8, 0.8, 0.82, 1.0)
 _FINE = 2000  # number of triangles from which vertices of a mesh are merged
 _CELLS = (200, 100, 50)  # cells per size of the mesh within which they are merged: the first that leaves few enough
-_MOST_VERTICES = 10_000
+_MAX_VERTICES = 10_000
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def _coarsened(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArra
     for parts in _CELLS:
         cells = np.round((vertices - vertices.min(axis=0)) * (parts / np.ptp(vertices, axis=0).max()))
         _, first, cell_of = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        if len(first) <= _MOST_VERTICES:
+        if len(first) <= _MAX_VERTICES:
             break
     joined = cell_of.reshape(-1)[faces]
     flat = (joined == np.roll(joined, 1, axis=1)).any(axis=1)

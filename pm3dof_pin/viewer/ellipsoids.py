@@ -53,7 +53,7 @@ EXPLANATIONS: dict[MotionQuantity, str] = {
 COLOURS: dict[Motion, tuple[float, float, float]] = {"translation": (0.33, 0.20, 0.72), "rotation": (0.86, 0.24, 0.44)}
 
 
-_LEAST = 1e-6  # relative to the longest semi-axis
+_MIN_LENGTH = 1e-6  # relative to the longest semi-axis
 _OPACITY: dict[Motion, float] = {"translation": 0.24, "rotation": 0.14}
 _RING_POINTS = 72
 _RIGID = 1e-7  # relative to the greatest velocity: roots of rounding errors are smaller
@@ -85,7 +85,7 @@ class DrawnEllipsoid:
         """Transform from the unit sphere to this ellipsoid, shape=(4, 4)."""
         lengths = self.scale * np.abs(self.values)
         # a zero length, as of a rigid direction, would leave no axes
-        return objects.transform(self.axes * np.maximum(lengths, _LEAST * lengths.max()), self.position)
+        return objects.transform(self.axes * np.maximum(lengths, _MIN_LENGTH * lengths.max()), self.position)
 
 
 def block(

@@ -35,7 +35,7 @@ from pm3dof_pin.typing import Vector
 
 _logger = logging.getLogger(__name__)
 
-_MOST_OPERATIONS = 12_000  # of a program with errors; a longer one would dominate the page
+_MAX_OPERATIONS = 12_000  # of a program with errors; a longer one would dominate the page
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ class PagePrograms:
             except ProgramError as error:
                 _logger.info("no motions of the tool by %d errors in the page: %s", len(errors), error)
                 continue
-            if not len(errors) or len(program) <= _MOST_OPERATIONS:
+            if not len(errors) or len(program) <= _MAX_OPERATIONS:
                 return PageProgram(dataclasses.replace(program, name="motion"), parameters), errors.tolerances
         return None, np.empty(0)
 
