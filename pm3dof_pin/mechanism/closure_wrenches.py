@@ -76,7 +76,7 @@ def turning_stiffness(configuration: Configuration, forces: Vector) -> Matrix:
     return result
 
 
-def placed_axes(mechanism: Mechanism, index: int, a: pin.SE3, b: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
+def _placed_axes(mechanism: Mechanism, index: int, a: pin.SE3, b: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
     """Return placements of a closure's frames with the axes of its type."""
     if (bases := mechanism.closures[index].bases) is None:
         return a, b
@@ -86,7 +86,7 @@ def placed_axes(mechanism: Mechanism, index: int, a: pin.SE3, b: pin.SE3) -> tup
 def _ends(configuration: Configuration, index: int) -> tuple[pin.SE3, pin.SE3]:
     loop = configuration.mechanism.closures[index]
     a, b = (configuration.frame_placement(name) for name in (loop.frame_a, loop.frame_b))
-    return placed_axes(configuration.mechanism, index, a, b)
+    return _placed_axes(configuration.mechanism, index, a, b)
 
 
 def _force_and_moment(kind: ClosureType, a: pin.SE3, b: pin.SE3, forces: Vector) -> tuple[Vector, Vector]:
