@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import pm3dof_pin as pm
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -190,10 +192,19 @@ def test_all_of_it_is_in_the_picture(page: Any, write_robot: Any, tmp_path: Path
     assert 0 < columns.min() < columns.max() < width - 1
 
 
-def test_a_wrist_offers_no_stiffness(page: Any, tmp_path: Path) -> None:
-    """It is elastic only in its three rotations, so there is neither K nor C of all six motions."""
+def test_a_wrist_offers_the_stiffness_of_free_rotations(page: Any, tmp_path: Path) -> None:
+    """It is elastic only in its three rotations, so that C is singular and there is no K with other motions held."""
     mechanism = Robot.load(MACHINES / "agile_eye")
     viewer = Viewer(mechanism)
     viewer.motion_ellipsoid("velocity", kind="rotation")
     page.open(viewer.save_html(tmp_path / "page.html").as_uri())
-    assert page.ask("pm3dof.quantities()") == ["velocity", "force"]
+    assert page.ask("pm3dof.quantities()") == ["stiffness", "compliance", "velocity", "force"]
+    pose = "robot.moved(robot.home(), robot.data.sets[0], [0.1, -0.2, 0.15])"
+    kinds = [{"motion": "rotation", "of": "stiffness", "others": others} for others in ("free", "held")]
+    found = page.ask(
+        f"(() => {{ const robot = pm3dof.robot(), pose = {pose}, C = robot.compliance(pose);"
+        f" return {json.dumps(kinds)}.map((kind) => robot.ellipsoid(pose, kind, C)); }})()"
+    )
+    compliance = pm.compliance(mechanism, mechanism.forward([[0.1, -0.2, 0.15]]), engine="pinocchio")[0, 3:, 3:]
+    np.testing.assert_allclose(found[0]["values"], np.linalg.eigvalsh(np.linalg.inv(compliance)), rtol=1e-9)
+    assert "rigid" in found[1]

@@ -13,6 +13,7 @@ const Robot = (() => {
   const PULL = 0.1; // largest change of a coordinate by a pull [rad, characteristic lengths]
   const PULL_STEP = 1e-5; // for the derivative by a coordinate, in characteristic lengths or 0.6 rad
   const PULL_DAMPING = 0.02; // compliance of the dragged point near singular poses [characteristic lengths]
+  const SINGULAR = 1e-12; // smaller pivots of a scaled matrix are rounding
   const RIGID = 1e-14; // relative to the greatest squared velocity: less is rounding
   const SHARE_STEP = 1e-4; // relative change of a spring, for the derivative that gives its share
 
@@ -22,7 +23,7 @@ const Robot = (() => {
   const apply = (matrix, a) => matrix.map((row) => dot(row, a));
 
   // Inverse of a symmetric positive definite matrix, by Gauss-Jordan after scaling to a unit diagonal, since units are
-  // mixed.
+  // mixed; NaN if it is singular, as the compliance of a wrist.
   function inverse(matrix) {
     const n = matrix.length;
     const scale = matrix.map((row, i) => 1 / Math.sqrt(row[i]));
@@ -36,6 +37,7 @@ const Robot = (() => {
         if (Math.abs(work[row][column]) > Math.abs(work[pivot][column])) pivot = row;
       }
       [work[column], work[pivot]] = [work[pivot], work[column]];
+      if (!(Math.abs(work[column][column]) > SINGULAR)) return matrix.map((row) => row.map(() => NaN));
       work[column] = work[column].map((entry) => entry / work[column][column]);
       for (let row = 0; row < n; row++) {
         const factor = work[row][column];
