@@ -89,9 +89,12 @@ class LoopKinematics(threading.local):
         each coupling, the joint's coordinate minus its value. G is exact at any q, closed or not.
         """
         own = self._constraint_rows(q)
+        error = np.empty(self.row_count)
         if self._are_points:
-            return np.concatenate([np.zeros(0), *(d.constraint_position_error for *_, d in self._details)]), own
-        error, jacobian = np.empty(self.row_count), np.empty((self.row_count, self._model.nv))
+            for _, rows, _, detail in self._details:
+                error[rows] = detail.constraint_position_error
+            return error, own
+        jacobian = np.empty((self.row_count, self._model.nv))
         for closure, rows, own_rows, detail in self._details:
             if not closure.kind.rotations:
                 error[rows], held = _held(closure, np.array(detail.constraint_position_error), np.eye(3))
