@@ -50,7 +50,7 @@ def random_values(name: str, given: str, count: int, share: float = 1.0) -> np.n
 
 @pytest.mark.parametrize("given", ["coordinates", "commands"])
 @pytest.mark.parametrize("name", [*ROBOTS, "linear_delta", "agile_eye"])
-def test_walks_end_where_the_careful_engine_does(name, given):
+def test_walks_end_where_the_reference_does(name, given):
     robot = load(name)
     values = random_values(name, given, 60)
     solve = robot.solve if given == "coordinates" else robot.forward
@@ -176,7 +176,7 @@ def test_the_reachable_set_up_to_singular_reach_is_that_of_homes_assembly_mode()
     np.testing.assert_allclose(poses.commands[poses.solved], (expected - home)[poses.solved], atol=1e-5)
 
 
-def test_damped_steps_find_what_the_careful_solver_finds_from_far():
+def test_damped_steps_find_what_the_damped_solver_finds_from_far():
     """Directly from home to poses all over the five-bar's plane, most of them out of reach."""
     robot, solver = load("five_bar"), continuation("five_bar", "coordinates")
     values = np.random.default_rng(1).uniform([-0.6, 0.1], [0.6, 1.0], (150, 2))
