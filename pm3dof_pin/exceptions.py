@@ -209,7 +209,7 @@ class BrowserError(PM3DofError):
 
 
 class MeasurementError(PM3DofError):
-    """A measurement file cannot be used as it is.
+    """A table of measurements or poses cannot be used as it is.
 
     Attributes:
         path: the file.
