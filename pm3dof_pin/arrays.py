@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.typing import Vector
 
-_GREATEST = 1e100  # the product of any three is a number
+_MAX_MAGNITUDE = 1e100  # the product of any three is a number
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 
 
@@ -49,8 +49,8 @@ def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDAr
     array = np.array(real_array(name, values))
     if array.shape not in shapes:
         raise ShapeError(name, array.shape, f"{' or '.join(map(str, shapes))}")
-    if not (np.abs(array) <= _GREATEST).all():  # also catches NaN
-        raise InvalidValueError(name, array, f"finite numbers of at most {_GREATEST:g}")
+    if not (np.abs(array) <= _MAX_MAGNITUDE).all():  # also catches NaN
+        raise InvalidValueError(name, array, f"finite numbers of at most {_MAX_MAGNITUDE:g}")
     return array
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-_LONGEST = 2000
-_MOST_LINES = 10
+_MAX_LENGTH = 2000
+_MAX_LINES = 10
 
 
 def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
@@ -29,7 +29,7 @@ class PM3DofError(Exception):
     def __str__(self) -> str:
         """Return the message with unprintable characters escaped: names from files may contain anything."""
         text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in super().__str__())
-        return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
+        return text if len(text) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH // 2]} ... {text[-_MAX_LENGTH // 2 :]}"
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle without calling the constructor, which takes other arguments than the message."""
@@ -226,8 +226,8 @@ def lines_in_words(rows: Sequence[int]) -> str:
     """Return "line 3: ", "lines 3, 5, 9: " or "", with long lists shortened."""
     if not rows:
         return ""
-    listed = ", ".join(str(row) for row in rows[:_MOST_LINES])
-    more = f" and {len(rows) - _MOST_LINES} more" if len(rows) > _MOST_LINES else ""
+    listed = ", ".join(str(row) for row in rows[:_MAX_LINES])
+    more = f" and {len(rows) - _MAX_LINES} more" if len(rows) > _MAX_LINES else ""
     return f"line{'s' if len(rows) > 1 else ''} {listed}{more}: "
 
 

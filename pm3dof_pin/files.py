@@ -20,7 +20,7 @@ from pm3dof_pin.exceptions import DescriptionError, OutputError
 _FORMULA_STARTS = frozenset("=+-@\t\r")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)")
 
-MOST_BYTES = 64 * 2**20
+MAX_BYTES = 64 * 2**20
 """Largest file that is read."""
 
 
@@ -30,11 +30,11 @@ def read_bytes(path: Path | str) -> bytes:
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise DescriptionError(path, "file", "expected a regular file, not a folder, pipe or device")
         with Path(path).open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
+            content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
         raise DescriptionError(path, "file", f"expected a readable file ({_reason(error)})") from error
-    if len(content) > MOST_BYTES:
-        raise DescriptionError(path, "file", f"expected no more than {MOST_BYTES >> 20} MiB")
+    if len(content) > MAX_BYTES:
+        raise DescriptionError(path, "file", f"expected no more than {MAX_BYTES >> 20} MiB")
     return content
 
 

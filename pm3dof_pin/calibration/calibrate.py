@@ -120,7 +120,7 @@ def calibrate(
         >>> errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
         >>> machine = pm.SimulatedMachine.random(errors, generator, everything=False)
         >>> commands = pm.reachable_poses(errors.robot, 40, generator).commands
-        >>> measurements = pm.Measurements.of_poses(commands, machine.measure(commands, generator))
+        >>> measurements = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
         >>> calibration = pm.calibrate(measurements, errors, "lm")
         >>> calibration.refusals
         ()
@@ -196,7 +196,8 @@ def _errors_of(errors: GeometricErrors | Robot | Path | str) -> GeometricErrors:
     if isinstance(errors, (str, Path)):
         return GeometricErrors.load(errors)
     if isinstance(errors, Robot):
-        return GeometricErrors(errors) if errors.files is None else GeometricErrors.of(errors, errors.files.errors)
+        file = None if errors.files is None else errors.files.errors
+        return GeometricErrors(errors) if file is None else GeometricErrors.from_file(errors, file)
     require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
     return errors
 

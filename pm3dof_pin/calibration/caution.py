@@ -42,7 +42,7 @@ class Gain:
     corrected: Array  #: T, shape=(n, 6, parameters)
 
     @classmethod
-    def of(cls, compensation: Compensation, commands: Array) -> Gain | None:
+    def from_compensation(cls, compensation: Compensation, commands: Array) -> Gain | None:
         """Return the gain of identified parameters at commands, shape=(n, commands); None for a method without them."""
         values, covariance = compensation.values, compensation.known_covariance
         if values is None or covariance is None:
@@ -86,7 +86,7 @@ def cautious(compensation: Compensation, commands: Array) -> Compensation:
 
     The rest stays uncertain: it is added to the covariance.
     """
-    gain = Gain.of(compensation, commands)
+    gain = Gain.from_compensation(compensation, commands)
     if gain is None or compensation.covariance is None:
         return compensation
     values = gain.sure_values()

@@ -80,7 +80,7 @@ class Compensation:
     stiffness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, found: Identification, eta: float = TIP_LENGTH) -> Compensation:
+    def from_identification(cls, found: Identification, eta: float = TIP_LENGTH) -> Compensation:
         """Return the compensation by everything that was identified, certain or not."""
         return cls(found.errors, found.values, found.seen_covariance, eta=eta, stiffness=found.stiffness)
 

@@ -34,7 +34,7 @@ class ElasticTerm:
     wrenches: Array | None = None
 
     @classmethod
-    def of(cls, robot: Robot, measurements: Measurements) -> ElasticTerm:
+    def from_measurements(cls, robot: Robot, measurements: Measurements) -> ElasticTerm:
         """Make the term for measurements; without wrenches or springs it is zero."""
         return cls.under(robot, wrenches_of(measurements.conditions, robot, len(measurements)))
 

@@ -84,8 +84,8 @@ class Fit:
         """Gain of the corrections over the measured commands; None for a method without parameters."""
         if not self.options.identifies:
             return None
-        whole = Compensation.of(self.identification, self.options.eta)
-        return Gain.of(whole, self.measurements.visits.commands)
+        whole = Compensation.from_identification(self.identification, self.options.eta)
+        return Gain.from_compensation(whole, self.measurements.visits.commands)
 
     @property
     def chance_of_harm(self) -> float:
@@ -172,11 +172,11 @@ def _scatter(compensation: Compensation, shown: Measurements, identification: Id
     if compensation.learned is not None:
         across = found.seen.shown - found.control @ control_inverse(found.control)
         covariances = across @ found.seen.covariances @ np.swapaxes(across, 1, 2)
-        return Scatter.of(found.left, covariances, across, np.zeros_like(control), units)
+        return Scatter.from_errors(found.left, covariances, across, np.zeros_like(control), units)
     used = float(len(identification.errors)) if compensation.values is not None else 0.0
     freedom = max(0.2, 1.0 - used / max(1.0, float(np.einsum("nii->", found.seen.shown))))
     seen = found.at_commands
-    return Scatter.of(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control, units)
+    return Scatter.from_errors(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control, units)
 
 
 def compensation_from(
@@ -194,7 +194,7 @@ def compensation_from(
     """
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:
-        whole = Compensation.of(identification, options.eta)
+        whole = Compensation.from_identification(identification, options.eta)
         compensation = cautious(whole, measurements.visits.commands)
         measurements = compensation.without_loads(measurements)
     if not options.learns:
@@ -205,7 +205,7 @@ def compensation_from(
         raise InvalidValueError("measurements", problem=f"has {len(visits)} poses", expected=expected)
     nominal = errors.robot.forward(visits.commands)
     found = pseudo_errors(measurements, compensation.model_poses(nominal), options.eta)
-    scale = InputScale.of(nominal.robot, visits)
+    scale = InputScale.from_measurements(nominal.robot, visits)
     inputs = scale.scaled(visits.commands, visits.conditions)
     variances = np.einsum("nii->ni", found.covariances)
     model = fitted_model(options.method, inputs, found.deviations, variances, options.seed)

@@ -100,7 +100,7 @@ def read_compensation(directory: Path | str) -> Compensation:
         >>> errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
         >>> machine = pm.SimulatedMachine.random(errors, generator, everything=False)
         >>> commands = pm.reachable_poses(errors.robot, 40, generator).commands
-        >>> measurements = pm.Measurements.of_poses(commands, machine.measure(commands, generator))
+        >>> measurements = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
         >>> folder = pm.calibrate(measurements, errors, "lm").save("calibration")
         >>> pm.read_compensation(folder).compensate(errors.robot.solve([[0.1, -0.2, 0.5]])).commands.shape
         (1, 3)

@@ -23,7 +23,7 @@ from pm3dof_pin.exceptions import ConvergenceError
 from pm3dof_pin.typing import Array, Indices
 
 _MIN_AMPLITUDE = 1e-4  # of the deviations' scale
-_MOST_AMPLITUDE = 30.0
+_MAX_AMPLITUDE = 30.0
 # Prior medians of the scales, whose logarithms have standard deviation _SCALE_SPREAD; inputs are in -1 .. 1.
 _SMOOTH_SCALE, _OWN_SCALE = 2.5, 0.25
 _SCALE_SPREAD = 0.4
@@ -222,7 +222,7 @@ def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
     scale = float(np.sqrt(np.mean(deviations**2) + np.mean(noise))) or _UNSEEN_SCALE
     lengths = np.log([*[_SMOOTH_SCALE] * kernel.count, _OWN_SCALE])
     floor = np.log(_MIN_AMPLITUDE * scale)
-    bounds = [(floor, np.log(_MOST_AMPLITUDE * scale))] * 3 + [(floor, np.log(3.0 * scale))]
+    bounds = [(floor, np.log(_MAX_AMPLITUDE * scale))] * 3 + [(floor, np.log(3.0 * scale))]
     bounds += [(length - 3.0, length + 3.0) for length in lengths]
 
     def cost(logarithms: Array) -> tuple[float, Array]:

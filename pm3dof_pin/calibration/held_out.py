@@ -98,7 +98,7 @@ class HeldOut:
         units = [command.unit for command in errors.robot.commands]
         scores = _Scores.joined(parts)[np.argsort(np.concatenate(starts))].that_show_the_tool()
         seen = (scores.missed, scores.covariances, scores.shown, scores.control, units)
-        return _together(calibration, rows, scores, Scatter.of(*seen), Scatter.of(*seen, least=1.0))
+        return _together(calibration, rows, scores, Scatter.from_errors(*seen), Scatter.from_errors(*seen, least=1.0))
 
     @classmethod
     def from_validation(cls, calibration: Fit, measurements: Measurements) -> HeldOut:

@@ -47,11 +47,11 @@ def stacked_regressor(
     The nuisance rows, shape=(n, rows of a pose, k), are in units of the nuisance parameters' scales. `elastic` holds
     the known wrenches at these poses.
     """
-    measurements = Measurements.of_poses(poses.commands, poses.transforms, instrument)
+    measurements = Measurements.from_poses(poses.commands, poses.transforms, instrument)
     if instrument is not None and instrument.encoders:
         measurements = _with_encoders(measurements, poses, instrument)
     rows = np.arange(len(measurements)) // (len(measurements) // len(poses))
-    nuisances = Nuisances.of(measurements, tuple(command.unit for command in errors.robot.commands))
+    nuisances = Nuisances.from_measurements(measurements, tuple(command.unit for command in errors.robot.commands))
     found = sensitivities(errors, poses, joints=tuple(measurements.joints))
     drives = (found.commands * np.abs(command_scales(poses)))[rows]
     at_rows, of_a_pose = poses[rows], measurements.sigmas.size // len(poses)
@@ -90,7 +90,7 @@ class ObservabilityIndices:
     O5: float  #: 1 / sum(1 / s_i) (Y. Sun and J. Hollerbach, 2008): A-optimality
 
     @classmethod
-    def of(cls, singular_values: ArrayLike, poses: int) -> ObservabilityIndices:
+    def from_singular_values(cls, singular_values: ArrayLike, poses: int) -> ObservabilityIndices:
         """Compute the indices from the singular values over what is identifiable, shape=(L,).
 
         Raises:
@@ -139,7 +139,7 @@ class Identifiability:
         # the triangular factor has the same singular values and right vectors, and is small
         triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
         _, values, right = np.linalg.svd(triangle)
-        decision = RankDecision.of(values, REGRESSOR_TOLERANCE * values.max(initial=0.0))
+        decision = RankDecision.from_singular_values(values, REGRESSOR_TOLERANCE * values.max(initial=0.0))
         return cls(names, len(blocks), decision, frozen(right.T.copy()))
 
     @property
@@ -171,7 +171,7 @@ class Identifiability:
     @property
     def observability(self) -> ObservabilityIndices:
         """Observability indices over the identifiable combinations."""
-        return ObservabilityIndices.of(self.decision.singular_values[: self.rank], self.poses)
+        return ObservabilityIndices.from_singular_values(self.decision.singular_values[: self.rank], self.poses)
 
 
 def _rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDArray[np.intp]:

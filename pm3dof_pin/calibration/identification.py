@@ -77,7 +77,9 @@ class Identification:
     stiffness_logarithms: Array  #: ln of each spring's stiffness over that of the description, shape=(springs,)
 
     @classmethod
-    def of(cls, problem: Linearisation, fit: RobustFit, loss: Loss, prior_error: float, steps: int) -> Identification:
+    def from_fit(
+        cls, problem: Linearisation, fit: RobustFit, loss: Loss, prior_error: float, steps: int
+    ) -> Identification:
         """Return the results of a fit of a problem linearised at the solution; arguments as for :func:`identify`."""
         errors, factors = problem.errors, problem.kinds @ fit.noise_factors
         ends = np.cumsum([len(errors), len(problem.elastic.names)])
@@ -297,8 +299,8 @@ def identify(
     if not prior > 0.0:
         raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
     if nuisances is None:
-        nuisances = Nuisances.of(measurements, tuple(command.unit for command in errors.robot.commands))
-    elastic = ElasticTerm.of(errors.robot, measurements)
+        nuisances = Nuisances.from_measurements(measurements, tuple(command.unit for command in errors.robot.commands))
+    elastic = ElasticTerm.from_measurements(errors.robot, measurements)
     count = len(errors)
     frame = count + len(elastic.names) + nuisances.columns("frame")
     x, previous, fit = np.zeros(count + len(elastic.names) + len(nuisances)), np.inf, None
@@ -318,7 +320,7 @@ def identify(
         poses = _poses_at(errors.apply(x[:count] * errors.tolerances), measurements, poses.q)
         if length <= _SMALL_STEP or (length <= _STUCK and length >= 0.5 * previous):
             linear = Linearisation.at(measurements, errors, elastic, nuisances, prior, poses, x)
-            return Identification.of(linear, fit, loss, prior_error, step)
+            return Identification.from_fit(linear, fit, loss, prior_error, step)
         previous = length
     raise ConvergenceError(
         "identification", length, "sigmas", _MAX_STEPS, "use a prior; check that the measurements are of this machine"

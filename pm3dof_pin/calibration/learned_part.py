@@ -40,7 +40,7 @@ class InputScale:
     half_range: Array  #: shape=(number of inputs,)
 
     @classmethod
-    def of(cls, robot: Robot, measurements: Measurements) -> InputScale:
+    def from_measurements(cls, robot: Robot, measurements: Measurements) -> InputScale:
         """Scale commands by joint limits, conditions by their measured range; constant conditions are left out."""
         lower, upper = coordinate_ranges(robot, robot.command_coordinates)
         varied = {name: values for name, values in measurements.conditions.items() if np.ptp(values) > 0.0}

@@ -40,10 +40,10 @@ _EXPLAINS = 0.5  # fraction of the misfit that a mistake may leave
 _OWN = 1.5  # times the possible error of a machine: up to here it needs no mistake
 _HALF = 0.5  # of the noise factor, that a change in the middle may leave
 _ALIKE = 1.5  # times the misfit left by another mistake: not distinguishable from it
-_MOST_FITS = 8  # mistakes tried by a fit
-_MOST_ROWS = 300  # examined
+_MAX_FITS = 8  # mistakes tried by a fit
+_MAX_ROWS = 300  # examined
 _BESIDE = 3.0  # widths of a drive's range
-_MOST_REACHED = 0.9  # fraction of the commands
+_MAX_REACHED = 0.9  # fraction of the commands
 
 
 def doubts(calibration: Fit, measurements: Measurements) -> Iterator[str]:
@@ -205,7 +205,7 @@ def likely_cause(measurements: Measurements, errors: GeometricErrors, eta: float
     another frame.
     """
     try:
-        measurements, nominal = _reached(measurements[:_MOST_ROWS], errors.robot)
+        measurements, nominal = _reached(measurements[:_MAX_ROWS], errors.robot)
         before, possible = _misfit(measurements, nominal, eta), _possible_error(errors, measurements, eta, 1.0)
     except PM3DofError:
         return ""
@@ -219,7 +219,7 @@ def likely_cause(measurements: Measurements, errors: GeometricErrors, eta: float
             continue
         if after < _EXPLAINS * before:
             found.append((max(after, _OWN * possible), after, mistake))
-    found = sorted(found, key=lambda pair: pair[0])[:_MOST_FITS]
+    found = sorted(found, key=lambda pair: pair[0])[:_MAX_FITS]
     fitting = [(rest, after, mistake.text) for rest, after, mistake in found if _fits(mistake, errors, eta)]
     if not fitting:
         return ""
@@ -266,12 +266,12 @@ def _reached(measurements: Measurements, robot: Robot, guess: Poses | None = Non
     """
     lower, upper = np.array([robot.range_of(command) for command in robot.command_coordinates]).T
     beyond = np.maximum(lower - measurements.commands, measurements.commands - upper) > _BESIDE * (upper - lower)
-    if np.mean(beyond.any(axis=1)) <= 1.0 - _MOST_REACHED:
+    if np.mean(beyond.any(axis=1)) <= 1.0 - _MAX_REACHED:
         near = measurements[~beyond.any(axis=1)]
         if guess is not None and len(near) == len(guess) and np.array_equal(near.commands, guess.commands):
             return near, guess
         nominal = robot.forward(near.commands, on_failure="nan")
-        if np.mean(nominal.solved) >= _MOST_REACHED:
+        if np.mean(nominal.solved) >= _MAX_REACHED:
             return near[nominal.solved], nominal[nominal.solved]
     raise UnreachablePoseError("the commands are out of reach")
 

@@ -59,7 +59,7 @@ class Scatter:
     uncertainty: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     @classmethod
-    def of(
+    def from_errors(
         cls,
         errors: Array,
         covariances: Array,

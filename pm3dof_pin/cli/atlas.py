@@ -27,7 +27,7 @@ from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
-_LEAST_POINTS = 2
+_MIN_POINTS = 2
 _POSES = 10_000  # approximate size of an atlas over all coordinates
 _TILTS = ("theta_x", "theta_y", "z_e")
 _DEFAULT_POINTS = (91, 91, 61)
@@ -86,8 +86,8 @@ def atlas(
     known = known_quantities(quantity)
     if out.suffix not in (".nc", ".zarr"):
         raise typer.BadParameter(f"--out {out}: expected a name ending in .nc or .zarr")
-    if points and min(points) < _LEAST_POINTS:
-        raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {_LEAST_POINTS} each")
+    if points and min(points) < _MIN_POINTS:
+        raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {_MIN_POINTS} each")
     if heights and not (all(map(math.isfinite, heights)) and heights[0] < heights[1]):
         raise typer.BadParameter(f"--heights {heights[0]:g} {heights[1]:g}: expected two finite, increasing heights")
     loaded = which.load(engine)
@@ -157,12 +157,12 @@ def _all_ranges(robot: Robot, counts: str | None) -> list[CoordinateRange]:
         numbers = [int(word) for word in counts.replace(",", " ").split()] if counts else []
     except ValueError:
         raise typer.BadParameter(f"--counts {counts}: expected whole numbers") from None
-    if counts and (len(numbers) not in (1, dimensions) or min(numbers) < _LEAST_POINTS):
+    if counts and (len(numbers) not in (1, dimensions) or min(numbers) < _MIN_POINTS):
         raise typer.BadParameter(
-            f"--counts {counts}: expected one number, or {dimensions} for {robot.name}, of at least {_LEAST_POINTS}"
+            f"--counts {counts}: expected one number, or {dimensions} for {robot.name}, of at least {_MIN_POINTS}"
         )
     if not numbers:
-        numbers = [max(_LEAST_POINTS, round(_POSES ** (1.0 / max(dimensions, 1))))]
+        numbers = [max(_MIN_POINTS, round(_POSES ** (1.0 / max(dimensions, 1))))]
     return declared_ranges(robot, robot.coordinates, numbers if len(numbers) == dimensions else numbers * dimensions)
 
 

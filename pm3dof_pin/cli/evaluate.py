@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from pm3dof_pin.maps.workspace_evaluation import Distribution, WorkspaceEvaluation
 
 _POSES = 100_000  # approximate number over all coordinates
-_MOST_POINTS = 201  # of one coordinate
+_MAX_POINTS = 201  # of one coordinate
 _PICTURE_POINTS = 81
 _OF_CHAPTER = ("chapter_diagonal", "chapter_global")
-_LEAST_SHARE = 0.05  # least share of a spring to be printed
+_MIN_SHARE = 0.05  # least share of a spring to be printed
 
 
 def evaluate(
@@ -96,7 +96,7 @@ def _grid(robot: Robot, ranges: Any, values: Any, points: int | None) -> Grid:
     named = {entry.name for entry in (*(ranges or ()), *(values or ()))}
     free = [coordinate for coordinate in robot.coordinates if coordinate.name not in named]
     size = _POSES / max(1, math.prod(entry.count for entry in ranges or ()))
-    count = points or min(_MOST_POINTS, 2 * round(0.5 * (max(size, 1.0) ** (1.0 / max(len(free), 1)) - 1.0)) + 1)
+    count = points or min(_MAX_POINTS, 2 * round(0.5 * (max(size, 1.0) ** (1.0 / max(len(free), 1)) - 1.0)) + 1)
     grid = robot_grid(
         robot, [*(ranges or ()), *declared_ranges(robot, free, [max(count, 3)] * len(free))], values or ()
     )
@@ -168,7 +168,7 @@ def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
             f"1 / condition number: mean {found.indices['conditioning']:.3e}, "
             f"least {found.indices['least_conditioning']:.3e}",
         ]
-    printed = [rank for rank in found.springs if rank.mean_share >= _LEAST_SHARE or rank.governs_part >= _LEAST_SHARE]
+    printed = [rank for rank in found.springs if rank.mean_share >= _MIN_SHARE or rank.governs_part >= _MIN_SHARE]
     if printed:
         header = ["axis", "spring", "governs", "mean share", "least", "greatest", "10 % stiffer: felt at least"]
         lines += [

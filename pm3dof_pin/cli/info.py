@@ -122,7 +122,7 @@ def _errors(files: RobotFiles, robot: Robot) -> dict[str, Any]:
     if not files.errors.is_file():
         return {"error_parameters": None}
 
-    errors = GeometricErrors.of(robot, files.errors)
+    errors = GeometricErrors.from_file(robot, files.errors)
     return {"error_parameters": {group: len(errors.indices(group)) for group in errors.groups}}
 
 

@@ -233,7 +233,7 @@ class RobotErrorsOptions(RobotOptions):
             return super().load_errors(engine)
         from pm3dof_pin.errors.error_parameters import GeometricErrors
 
-        return GeometricErrors.of(self.load(engine), self.errors)
+        return GeometricErrors.from_file(self.load(engine), self.errors)
 
 
 @dataclass(frozen=True, kw_only=True)

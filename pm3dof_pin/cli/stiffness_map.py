@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.maps.datasets import Map
     from pm3dof_pin.typing import Array, Engine, Mask
 
-_LEAST_TO_DRAW = 3
+_MIN_TO_DRAW = 3
 PICTURES = {
     "figure_8_3a_theta_x.png": "stiffness_theta_x",
     "figure_8_3b_theta_y.png": "stiffness_theta_y",
@@ -185,7 +185,7 @@ def _draw(
     entries = _entries(dataset)
     files = []
     for done, (name, label, index) in enumerate(entries, start=1):
-        if np.isfinite(dataset[name].values[index]).sum() >= _LEAST_TO_DRAW:
+        if np.isfinite(dataset[name].values[index]).sum() >= _MIN_TO_DRAW:
             path = out / f"stiffness_map_{f'{name}_{label}' if label else name}.png"
             figure = section_map(
                 dataset,
@@ -263,7 +263,7 @@ def _require_poses(place: str, inside: int, *, drawn: bool, tripod: Tripod | Non
         if tripod is not None:
             hint = f"--height: the level platform reaches from {tripod.height_min:.4f} to {tripod.height_max:.4f} m"
         raise UnreachablePoseError(f"no pose of the map {place} is within every joint limit; {hint}")
-    if drawn and inside < _LEAST_TO_DRAW:
+    if drawn and inside < _MIN_TO_DRAW:
         raise UnreachablePoseError(
             f"{inside} poses of the map {place} are within every joint limit, too few to draw: "
             "try more --points, other ranges, or --no-pictures"

@@ -22,7 +22,7 @@ from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.typing import Matrix
 
-_LEAST_SCALE = 1e-9
+_MIN_SCALE = 1e-9
 _MIN_LENGTH = 1e-6  # m
 _UNIT = 1e-12  # relative rounding of a unit vector
 
@@ -281,8 +281,8 @@ def _coordinate(path: Path, index: int, entry: CoordinateSchema) -> Coordinate:
 
 def _require_scale(path: Path, place: str, entry: Command | CoordinateSchema) -> None:
     scale = entry.scale
-    if not _LEAST_SCALE <= abs(scale) <= 1.0 / _LEAST_SCALE:
-        expected = f"expected a magnitude from {_LEAST_SCALE:g} to {1.0 / _LEAST_SCALE:g}, not {scale:g}"
+    if not _MIN_SCALE <= abs(scale) <= 1.0 / _MIN_SCALE:
+        expected = f"expected a magnitude from {_MIN_SCALE:g} to {1.0 / _MIN_SCALE:g}, not {scale:g}"
         raise DescriptionError(path, f"{place}.scale", expected)
     if problem := LENGTH.problem(entry.offset / scale):
         raise DescriptionError(path, f"{place}.offset", f"divided by the scale: {problem}")

@@ -17,7 +17,7 @@ from xml.parsers.expat import ExpatError
 from pm3dof_pin.description.own_files import package_of
 from pm3dof_pin.description.xml_file import comment_text
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.files import MOST_BYTES
+from pm3dof_pin.files import MAX_BYTES
 
 _logger = logging.getLogger(__name__)
 
@@ -132,8 +132,8 @@ def _expanded_apart(
         raise DescriptionError(path, "xacro", answer["error"] + (advice if is_argument else ""))
     if answer.get("unknown"):
         raise DescriptionError(path, "xacro", f"has no argument '{answer['unknown'][0]}'")
-    if sum(map(len, texts)) > MOST_BYTES:
-        raise DescriptionError(path, "xacro", f"expected no more than {MOST_BYTES >> 20} MiB when expanded")
+    if sum(map(len, texts)) > MAX_BYTES:
+        raise DescriptionError(path, "xacro", f"expected no more than {MAX_BYTES >> 20} MiB when expanded")
     return texts
 
 

@@ -24,8 +24,8 @@ from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.typing import Array
 
 _KINDS = {".stl", ".obj", ".dae", ".ply", ".off", ".gltf", ".glb", ".3mf", ".3ds", ".wrl", ".msh", ".x3d", ".iv"}
-_MOST_BYTES = 512 * 2**20
-_MOST_SECONDS = 60.0  # to read one file
+_MAX_BYTES = 512 * 2**20
+_MAX_SECONDS = 60.0  # to read one file
 _SANDBOX = Path(__file__).with_name("mesh_sandbox.py")
 
 
@@ -46,8 +46,8 @@ def find_mesh(files: RobotFiles, name: str) -> Path:
     path = path.resolve()
     if path.suffix.lower() not in _KINDS:
         raise DescriptionError(files.path, place, f"expected a file of type {', '.join(sorted(_KINDS))}")
-    if path.stat().st_size > _MOST_BYTES:
-        raise DescriptionError(files.path, place, f"expected no more than {_MOST_BYTES >> 20} MiB")
+    if path.stat().st_size > _MAX_BYTES:
+        raise DescriptionError(files.path, place, f"expected no more than {_MAX_BYTES >> 20} MiB")
     return path
 
 
@@ -120,7 +120,7 @@ class _Reader:
         assert self._process.stdin is not None
         self._process.stdin.write((json.dumps(str(path.absolute())) + "\n").encode())
         self._process.stdin.flush()
-        deadline = time.monotonic() + _MOST_SECONDS
+        deadline = time.monotonic() + _MAX_SECONDS
         while b"\n" not in self._buffer:
             self._receive(deadline)
         line, _, self._buffer = self._buffer.partition(b"\n")

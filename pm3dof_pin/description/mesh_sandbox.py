@@ -15,7 +15,7 @@ import sys
 from typing import Any
 
 _BYTES = 2 << 30
-_MOST_TRIANGLES = 10_000_000
+_MAX_TRIANGLES = 10_000_000
 _FORBIDDEN_EVENTS = (
     "subprocess.",
     "socket.",
@@ -65,8 +65,8 @@ def _read(path: str) -> tuple[dict[str, Any], list[bytes]]:
 
     meshes = [mesh for mesh in trimesh.load_scene(path).dump() if isinstance(mesh, trimesh.Trimesh)]
     sizes = [[len(mesh.vertices), len(mesh.faces)] for mesh in meshes]
-    if sum(size[1] for size in sizes) > _MOST_TRIANGLES:
-        return {"error": f"has more than {_MOST_TRIANGLES} triangles"}, []
+    if sum(size[1] for size in sizes) > _MAX_TRIANGLES:
+        return {"error": f"has more than {_MAX_TRIANGLES} triangles"}, []
     blocks = []
     for mesh in meshes:
         corners = np.asarray(mesh.vertices), np.asarray(mesh.faces)

@@ -11,7 +11,7 @@ MANIFEST = "package.xml"
 """The file that marks a ROS package."""
 
 _PARTS = ("urdf", "xacro", "robots", "mjcf", "sdf", "xml", "srdf")
-_MOST_LEVELS = 4  # how far above a file its package is searched
+_MAX_LEVELS = 4  # how far above a file its package is searched
 
 
 def package_of(path: Path) -> Path:
@@ -21,7 +21,7 @@ def package_of(path: Path) -> Path:
     that is named urdf, xacro, robots, mjcf, sdf, xml or srdf.
     """
     folder = path.resolve().parent
-    for candidate in (folder, *list(folder.parents)[:_MOST_LEVELS]):
+    for candidate in (folder, *list(folder.parents)[:_MAX_LEVELS]):
         if (candidate / MANIFEST).is_file():
             return candidate
     return folder.parent if folder.name in _PARTS else folder

@@ -10,7 +10,7 @@ from pm3dof_pin.description.origin import Origin
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_bytes
 
-MOST_DEPTH = 200
+MAX_DEPTH = 200
 """Maximum nesting of elements: later stages, in C++ and here, are recursive."""
 
 _BEGINNING = 2048  # bytes that hold most root elements
@@ -102,8 +102,8 @@ class _Reader:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self.root_tag = self.root_tag or tag
         self._depth += 1
-        if self._depth > MOST_DEPTH:
-            raise DescriptionError(self._path, self._place(), f"expected elements at most {MOST_DEPTH} deep")
+        if self._depth > MAX_DEPTH:
+            raise DescriptionError(self._path, self._place(), f"expected elements at most {MAX_DEPTH} deep")
         element = self.builder.start(tag, attributes)
         assert isinstance(element, Element)
         element.path, element.line = self._path, self.parser.CurrentLineNumber

@@ -13,8 +13,8 @@ from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_text
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, ten times faster, if available
-_MOST_DEPTH = 50
-_MOST_ENTRIES = 1_000_000
+_MAX_DEPTH = 50
+_MAX_ENTRIES = 1_000_000
 
 
 def read_mapping(path: Path | str) -> dict[str, Any]:
@@ -36,8 +36,8 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
         raise DescriptionError(path, "file", f"expected YAML ({error})") from error
     if not isinstance(data, dict):
         raise DescriptionError(path, "file", "expected a mapping of keys to values at the top level")
-    if _size(data, {}) > _MOST_ENTRIES:
-        raise DescriptionError(path, "file", f"expected at most {_MOST_ENTRIES} entries, aliases expanded")
+    if _size(data, {}) > _MAX_ENTRIES:
+        raise DescriptionError(path, "file", f"expected at most {_MAX_ENTRIES} entries, aliases expanded")
     return data
 
 
@@ -47,9 +47,9 @@ def _check_nesting(path: Path, text: str) -> None:
     for event in yaml.parse(text, Loader=_LOADER):
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
-            if depth > _MOST_DEPTH:
+            if depth > _MAX_DEPTH:
                 place = f"line {event.start_mark.line + 1}" if event.start_mark else "file"
-                raise DescriptionError(path, place, f"expected lists and mappings at most {_MOST_DEPTH} deep")
+                raise DescriptionError(path, place, f"expected lists and mappings at most {_MAX_DEPTH} deep")
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
 

@@ -70,7 +70,7 @@ def _of_drives(
     robot: Robot,
     poses: Poses | ArrayLike,
     name: Literal["holding_forces", "mass_matrix"],
-    careful: Callable[[Configuration, Payloads | None], Array],
+    reference: Callable[[Configuration, Payloads | None], Array],
     order: int,
     *,
     payloads: Payloads | None = None,
@@ -91,7 +91,7 @@ def _of_drives(
         name,
         (len(robot.actuated_joints),) * order,
         program=program,
-        careful=lambda q: careful(robot.configuration(q), payloads),
+        reference=lambda q: reference(robot.configuration(q), payloads),
         program_from=_PROGRAM_FROM,
         **options,
     ).values
@@ -123,7 +123,7 @@ def natural_frequencies(
         matrices[~sound] = 0.0
         return _frequencies(np.linalg.eigvalsh(matrices)[:, ::-1], count), sound
 
-    def careful(q: Vector) -> Vector:
+    def reference(q: Vector) -> Vector:
         found = natural_modes(elastic, q, count=count, payloads=payloads).frequencies
         return np.append(found, np.full(count - len(found), np.nan))
 
@@ -133,7 +133,7 @@ def natural_frequencies(
         "natural frequencies",
         (count,),
         program=program,
-        careful=careful,
+        reference=reference,
         program_from=_PROGRAM_FROM,
         **options,
     ).values

@@ -93,7 +93,7 @@ def motion_dynamics(
         "inertia of motions",
         (m * (m + 1),),
         program=program,
-        careful=reference,
+        reference=reference,
         program_from=_PROGRAM_FROM,
         **options,
     ).values

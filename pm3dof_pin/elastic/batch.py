@@ -106,7 +106,7 @@ def evaluate(
         quantity.name,
         quantity.shape,
         program=program,
-        careful=lambda q: quantity.computed(cartesian_compliance(elastic, q, frame=name)),
+        reference=lambda q: quantity.computed(cartesian_compliance(elastic, q, frame=name)),
         **options,
     )
 

@@ -18,7 +18,7 @@ from pm3dof_pin.typing import Indices, Matrix, Vector
 
 _CLOSED = 1e-11  # closure residual of an equilibrium [characteristic lengths, or rad]
 _EQUILIBRIUM = 1e-10  # imbalance, relative to the loads
-_LARGEST_BEND = 1.0  # rotation of one spring that represents a body, for small-deflection stiffness [rad]
+_MAX_BEND = 1.0  # rotation of one spring that represents a body, for small-deflection stiffness [rad]
 _SYMMETRY = 1e-6
 _MAX_STEPS = 60  # Newton steps
 _CLOSING_STEPS = 20
@@ -255,8 +255,8 @@ def _deflection_out_of_range(model: ElasticModel, configuration: Configuration, 
         give, bend = by[:slides].max(initial=0.0), by[slides:].max(initial=0.0)
         if give > length:
             return f"spring '{spring.name}' deflects by {give:.3g} m, more than {length:.3g} m"
-        if bend > _LARGEST_BEND:
-            return f"spring '{spring.name}' deflects by {bend:.3g} rad, more than {_LARGEST_BEND:g} rad"
+        if bend > _MAX_BEND:
+            return f"spring '{spring.name}' deflects by {bend:.3g} rad, more than {_MAX_BEND:g} rad"
     return ""
 
 

@@ -105,9 +105,9 @@ def _decompose(matrix: Matrix, threshold: float) -> tuple[Matrix, Matrix, RankDe
     """Return all left and right singular vectors, as columns, and the rank."""
     if not matrix.size:
         rows, columns = matrix.shape
-        return np.eye(rows), np.eye(columns), RankDecision.of(np.zeros(0), threshold)
+        return np.eye(rows), np.eye(columns), RankDecision.from_singular_values(np.zeros(0), threshold)
     left, values, right = np.linalg.svd(matrix)
-    return left, right.T, RankDecision.of(values, threshold)
+    return left, right.T, RankDecision.from_singular_values(values, threshold)
 
 
 def _row_space_and_complement(rows: Matrix) -> tuple[Matrix, Matrix]:

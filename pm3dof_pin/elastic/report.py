@@ -169,7 +169,7 @@ def cartesian_compliance(
 def range_and_complement(columns: Matrix, threshold: float) -> tuple[Matrix, Matrix]:
     """Return orthonormal bases of the column space and of its complement."""
     left, values, _ = np.linalg.svd(columns) if columns.size else (np.eye(len(columns)), np.zeros(0), None)
-    rank = RankDecision.of(values, threshold).rank
+    rank = RankDecision.from_singular_values(values, threshold).rank
     return left[:, :rank], left[:, rank:]
 
 

@@ -125,10 +125,10 @@ class GeometricErrors:
             FrameNotFoundError: a file names a joint or frame that the URDF does not have.
         """
         robot = Robot.load(source, **options)
-        return cls(robot) if robot.files is None else cls.of(robot, robot.files.errors)
+        return cls(robot) if robot.files is None else cls.from_file(robot, robot.files.errors)
 
     @classmethod
-    def of(cls, robot: Robot, file: Path) -> GeometricErrors:
+    def from_file(cls, robot: Robot, file: Path) -> GeometricErrors:
         """Return the error parameters that a file declares for a robot; all of them if the file does not exist.
 
         Raises:

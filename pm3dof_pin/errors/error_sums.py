@@ -70,7 +70,7 @@ def kinematic_sum(
         name,
         (),
         program=program,
-        careful=lambda q: getattr(error_budget(sources, robot.at([q]), eta=eta, names=[_CLASS]), name),
+        reference=lambda q: getattr(error_budget(sources, robot.at([q]), eta=eta, names=[_CLASS]), name),
         program_from=_PROGRAM_FROM,
         **options,
     )

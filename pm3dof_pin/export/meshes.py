@@ -35,7 +35,7 @@ class Meshes:
             self._add(name, path)
 
     @classmethod
-    def of_urdf(cls, files: RobotFiles, names: Iterable[str]) -> Meshes:
+    def from_urdf(cls, files: RobotFiles, names: Iterable[str]) -> Meshes:
         """Find the meshes of a URDF, see :func:`~pm3dof_pin.description.mesh_files.find_mesh`."""
         return cls({name: find_mesh(files, name) for name in dict.fromkeys(names)})
 

@@ -13,7 +13,7 @@ from pm3dof_pin.export.robot_document import read_robot
 from pm3dof_pin.typing import Vector
 
 _BASE = -1
-_GREATEST_FORCE = 1e6
+_MAX_FORCE = 1e6
 """Maximum force of a constraint [N]. With PyBullet's default of 500 N, loops would open."""
 
 
@@ -81,7 +81,7 @@ def _constraint(
         childFrameOrientation=frames[1][1],
         physicsClientId=client,
     )
-    pybullet.changeConstraint(constraint, maxForce=_GREATEST_FORCE, physicsClientId=client)
+    pybullet.changeConstraint(constraint, maxForce=_MAX_FORCE, physicsClientId=client)
     return int(constraint)
 
 

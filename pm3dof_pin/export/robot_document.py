@@ -228,7 +228,7 @@ def read_robot(
     if not meshes:
         description = replace(description, bodies=tuple(map(_without_meshes, description.bodies)))
     shapes = [shape for body in description.bodies for shape in (*body.visuals, *body.collisions)]
-    found = Meshes.of_urdf(robot.files, [shape.mesh for shape in shapes if shape.kind == "mesh"])
+    found = Meshes.from_urdf(robot.files, [shape.mesh for shape in shapes if shape.kind == "mesh"])
     return RobotDocument(robot.files, description, described, mechanism, found)
 
 

@@ -16,7 +16,7 @@ _LOGARITHMIC_FROM = 10.0  # ratio of the largest to the least value
 _NEARLY_CONSTANT = 0.1  # variation relative to the mean; the picture says so if it is less
 TAILS = (1.0, 5.0)  # of the values at either end [%], which may lie beyond the colours ...
 _FEW_TICKS = 5
-_MOST_KINDS = 8
+_MAX_KINDS = 8
 _TAIL_SPAN = 3.0  # ... if they would stretch the scale by this factor
 _STEPS = {
     1: (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
@@ -121,7 +121,7 @@ def color_scale(values: Array, also: Array | None = None) -> ColorScale:
 def kinds_of(values: Array) -> Array:
     """Return the different values if they are few whole numbers, which stand for kinds; otherwise nothing."""
     known = np.unique(values[np.isfinite(values)])
-    return known if len(known) <= _MOST_KINDS and np.array_equal(known, np.round(known)) else known[:0]
+    return known if len(known) <= _MAX_KINDS and np.array_equal(known, np.round(known)) else known[:0]
 
 
 def number(value: float, decimals: int = 0) -> str:

@@ -17,7 +17,7 @@ from pm3dof_pin.typing import Vector
 
 _DISTANCES = (0.1, 0.3, 1.0, 2.0)  # of random starts from home [rad, characteristic lengths]
 _STARTS = 24  # at each distance
-_MOST_TRIED = 8  # candidates of a branch, until one is regular
+_MAX_TRIED = 8  # candidates of a branch, until one is regular
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ def assembled_homes(robot: PlacedMechanism) -> list[AssembledHome]:
     tried: dict[int, int] = {}
     for home in found:
         number = 0 if branches is None else branches.number(home.configuration.q)
-        if number in chosen or tried.get(number, 0) == _MOST_TRIED:
+        if number in chosen or tried.get(number, 0) == _MAX_TRIED:
             continue
         with suppress(PM3DofError):
             around = Branches(robot, home.configuration)

@@ -18,9 +18,9 @@ from pm3dof_pin.mechanism.tool_components import angle_rates, rotation_of_angles
 from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Indices, Matrix, Vector
 
-_FIRST_DAMPING, _LEAST_DAMPING, _GREATEST_DAMPING = 1e-2, 1e-8, 1e12
+_FIRST_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-2, 1e-8, 1e12
 LONGEST_STEP = 0.5  # rad, or characteristic lengths: for longer steps the linear model of a rotation is poor
-_LEAST_GAIN, _GOOD_GAIN = 1e-4, 0.75
+_MIN_GAIN, _GOOD_GAIN = 1e-4, 0.75
 _STATIONARY = 1e-13
 _ROUNDING = float(np.finfo(float).eps)
 
@@ -170,13 +170,13 @@ def _iterate(equations: _Equations, point: _Point, max_steps: int, tolerance: fl
         move = point.move(damping)
         left = point.error + point.jacobian @ move
         predicted = point.cost - float(left @ left)
-        if predicted <= _STATIONARY * point.cost or damping > _GREATEST_DAMPING:
+        if predicted <= _STATIONARY * point.cost or damping > _MAX_DAMPING:
             return point, step
         trial = equations.at(equations.moved(point.q, move))
         gain = (point.cost - trial.cost) / predicted
-        if gain > _LEAST_GAIN:
+        if gain > _MIN_GAIN:
             point = trial
-            damping = max(damping / 10.0, _LEAST_DAMPING) if gain > _GOOD_GAIN else damping
+            damping = max(damping / 10.0, _MIN_DAMPING) if gain > _GOOD_GAIN else damping
         else:
             damping *= 10.0
         if was_closed:

@@ -105,7 +105,7 @@ class ProgramSource:
 
     def printable_walk(self, robot: PlacedMechanism, task: Task) -> tuple[Walk, Vector]:
         """Return the walk, with the program that tells branches apart, and its parameters; errors as above."""
-        walk, coordinates = self.walk(robot, task).compiled.walk_program, Task.of(self._robot.coordinates)
+        walk, coordinates = self.walk(robot, task).compiled.walk_program, Task.from_coordinates(self._robot.coordinates)
         assert walk is not None
         numbers, dense = self._geometry_of(robot)
         own, samples = self._robot, self.samples
@@ -129,7 +129,7 @@ class ProgramSource:
 
         Arguments and errors as in :meth:`walk`.
         """
-        own, samples, task = self._robot, self.samples, Task.of(self._robot.coordinates)
+        own, samples, task = self._robot, self.samples, Task.from_coordinates(self._robot.coordinates)
         name = f"checks {task}"
         return self._bound(
             robot,

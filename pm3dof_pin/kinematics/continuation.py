@@ -50,7 +50,7 @@ _DAMPED_STEPS = 50  # per round
 _DAMPED_ROUNDS = 20
 _AT_REST = 0.99  # ratio of squared errors after and before a round that has settled
 _DAMPING = 0.1  # of the first damped step
-_GREATEST_SHARE = 20.0  # largest weight in a prediction; that of equally spaced poses is 6
+_MAX_SHARE = 20.0  # largest weight in a prediction; that of equally spaced poses is 6
 _AT_ONCE = 4096  # poses per block, to stay in cache
 
 
@@ -72,7 +72,7 @@ class Continuation:
         self._offsets = np.array([c.offset for c in self._coordinates])
         self._scales = np.array([c.scale for c in self._coordinates])
         self._source = source = program_source(robot)
-        self._task = Task.of(self._coordinates)
+        self._task = Task.from_coordinates(self._coordinates)
         self._step = source.walk(robot, self._task)
         self._checks = source.checks(robot)
 
@@ -392,5 +392,5 @@ def _shares(values: bytes) -> Matrix:
             others = [k for k in range(count) if k != j]
             with np.errstate(divide="ignore", invalid="ignore"):
                 shares[points, j - 1] = -np.prod(gaps[:, others] / (back[:, j, None] - back[:, others]), axis=1)
-    shares[~(np.abs(shares).max(axis=1) < _GREATEST_SHARE)] = 0.0
+    shares[~(np.abs(shares).max(axis=1) < _MAX_SHARE)] = 0.0
     return frozen(shares)

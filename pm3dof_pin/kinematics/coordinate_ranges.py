@@ -11,7 +11,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array
 
 _STEPS = 16  # per characteristic length or half turn
-_FARTHEST = 16.0  # largest distance from home [characteristic lengths]
+_MAX_DISTANCE = 16.0  # largest distance from home [characteristic lengths]
 
 
 def coordinate_range(robot: Robot, coordinate: Coordinate) -> tuple[float, float]:
@@ -44,7 +44,7 @@ def _span(robot: Robot, coordinate: Coordinate) -> tuple[float, float] | None:
     home = float(robot.home_coordinates[robot.coordinates.index(coordinate)])
     step, count = math.pi / _STEPS, _STEPS
     if coordinate.unit == "m":
-        step, count = robot.characteristic_length / _STEPS, round(_STEPS * _FARTHEST)
+        step, count = robot.characteristic_length / _STEPS, round(_STEPS * _MAX_DISTANCE)
     ends = []
     for sense in (-1.0, 1.0):
         values = home + sense * step * np.arange(count + 1)

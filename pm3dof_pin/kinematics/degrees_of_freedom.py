@@ -42,9 +42,9 @@ class RankDecision:
         above = np.concatenate([[reference], values])[: len(values)]
         falls = (values <= limit) & (above > RANK_GAP * np.maximum(values, noise))
         if not falls.any():
-            return cls.of(values, limit)
+            return cls.from_singular_values(values, limit)
         first = int(np.argmax(falls))
-        return cls.of(values, float(np.sqrt(above[first] * max(values[first], noise))))
+        return cls.from_singular_values(values, float(np.sqrt(above[first] * max(values[first], noise))))
 
     @property
     def is_borderline(self) -> bool:
@@ -52,7 +52,7 @@ class RankDecision:
         return self.gap < RANK_GAP
 
     @classmethod
-    def of(cls, singular_values: Vector, threshold: float) -> RankDecision:
+    def from_singular_values(cls, singular_values: Vector, threshold: float) -> RankDecision:
         """Count the singular values above a threshold; they are in descending order."""
         return cls(int(np.count_nonzero(singular_values > threshold)), threshold, frozen(singular_values))
 

@@ -124,7 +124,7 @@ def jacobian(
 
     size = k * m * (1 + m * with_derivatives)
     values = evaluate_at(
-        robot, poses, "Jacobian", (size,), program=program, careful=reference, program_from=_PROGRAM_FROM, **options
+        robot, poses, "Jacobian", (size,), program=program, reference=reference, program_from=_PROGRAM_FROM, **options
     ).values
     batch = values.shape[:-1]
     names = [tuple(rate.name for rate in rates) for rates in (rows, columns)]

@@ -45,7 +45,7 @@ def evaluate_at(
     shape: tuple[int, ...],
     *,
     program: Callable[[Matrix, int | None], tuple[Array, Mask]],
-    careful: Callable[[Vector], ArrayLike],
+    reference: Callable[[Vector], ArrayLike],
     program_from: int = 0,
     on_failure: OnFailure = "raise",
     engine: Engine | None = None,
@@ -54,12 +54,12 @@ def evaluate_at(
     """Evaluate a quantity, named for the log, at many poses or configurations q, shape=(..., nq).
 
     `program` maps configurations, shape=(n, nq), and threads to values, shape=(n, size), and a mask of those not in
-    doubt, shape=(n,); it raises ProgramError if there is no program. `careful` maps one configuration to its value of
+    doubt, shape=(n,); it raises ProgramError if there is no program. `reference` maps one configuration to its value of
     the given shape; it decides where the program is in doubt, and for fewer poses than `program_from`.
 
     Raises:
         InvalidValueError: `poses` has the wrong shape.
-        PM3DofError: see `careful`.
+        PM3DofError: see `reference`.
     """
     require_choice("on_failure", on_failure, OnFailure)
     engine = robot.engine if engine is None else engine
@@ -85,7 +85,7 @@ def evaluate_at(
         values[index] = np.nan
         try:
             if on_failure == "raise" or np.isfinite(rows[index]).all():
-                values[index] = np.ravel(careful(rows[index]))
+                values[index] = np.ravel(reference(rows[index]))
             else:
                 failed[index] = True
         except PM3DofError:

@@ -19,10 +19,10 @@ from pm3dof_pin.typing import Array, Mask
 
 _ROUNDS = 40
 _TRIAL = 200
-_LEAST_RATE = 0.02
+_MIN_RATE = 0.02
 _NARROWED_RATE = 0.1  # if a smaller share of draws is within limits, the box is narrowed
 _LATTICE = 4096  # poses by commands, from which the narrower box is made
-_MOST_DRAWS = 4  # per round, relative to the number of poses requested
+_MAX_DRAWS = 4  # per round, relative to the number of poses requested
 _NEAR = 0.2  # edge length of the cells from whose centres draws are walked to [rad, characteristic lengths]
 _DRAWS_A_CELL = 1
 _KEPT = "_random_draws"
@@ -65,7 +65,7 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
         draws = _Draws.kept(robot, by_commands, margin)
         found = draws.within_limits(_TRIAL, generator)
         drawn: float = _TRIAL
-        if len(found) < _LEAST_RATE * drawn:
+        if len(found) < _MIN_RATE * drawn:
             continue
         if len(found) < _NARROWED_RATE * drawn and draws.cells > _LATTICE and not by_commands:
             draws, left = draws.narrowed
@@ -73,7 +73,7 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
         for _ in range(_ROUNDS):
             if len(found) >= count:
                 return robot.at(found[:count])
-            batch = min(_MOST_DRAWS * count, int((count - len(found)) * drawn / len(found)) + _TRIAL)
+            batch = min(_MAX_DRAWS * count, int((count - len(found)) * drawn / len(found)) + _TRIAL)
             found = np.concatenate([found, draws.within_limits(batch, generator)])
             drawn += batch
     robot.assemble()  # says so if the loops are open at home

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-_GREATEST = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
+_MAX_MAGNITUDE = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
 _MANY = 32  # poses that justify a program
 _CONTRADICTION = 1e-6  # least difference of contradicting commands of redundant drives [rad, characteristic lengths]
 
@@ -592,8 +592,8 @@ class Robot(PlacedMechanism):
             raise ShapeError(name, targets.shape, expected)
         if on_failure == "raise":
             finite_array(f"{name} ({names})", targets, targets.shape)
-        if (np.abs(targets[np.isfinite(targets)]) > _GREATEST).any():
-            raise InvalidValueError(f"{name} ({names})", targets, f"numbers of at most {_GREATEST:g}")
+        if (np.abs(targets[np.isfinite(targets)]) > _MAX_MAGNITUDE).any():
+            raise InvalidValueError(f"{name} ({names})", targets, f"numbers of at most {_MAX_MAGNITUDE:g}")
         if guess is None and not isinstance(values, Grid):  # iterates from a guess may be anywhere
             for coordinate, column in zip(coordinates, np.moveaxis(targets, -1, 0), strict=True):
                 self._require_unit(coordinate, column)

@@ -64,7 +64,7 @@ def singularity_measures(
         "distances from singularities",
         (sum(rank > 0 for rank in ranks),),
         program=program,
-        careful=lambda q: [d.measure for d in singularity_distances(robot.configuration(q), generic=generic)],
+        reference=lambda q: [d.measure for d in singularity_distances(robot.configuration(q), generic=generic)],
         **options,
     ).values
 

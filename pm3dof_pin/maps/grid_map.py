@@ -48,7 +48,7 @@ ERROR_VARIABLES = {
 LEAST_SENSITIVE = "least_sensitive"
 """Variable that is 1 in the region least sensitive to errors, 0 elsewhere."""
 
-_MOST_POSES = 200_000
+_MAX_POSES = 200_000
 _CHAPTER = {"model": "error", "references": "D. Zhang, Parallel Robotic Machine Tools, Springer 2010, section 8.3"}
 
 
@@ -150,8 +150,8 @@ def whole_workspace_grid(robot: Robot, points: int) -> Grid:
         raise InvalidValueError(
             "grid", problem=f"has no range for {', '.join(ranges)}", expected="coordinates with ranges; sample poses"
         )
-    if points ** len(limited) > _MOST_POSES:
-        most = math.floor(_MOST_POSES ** (1.0 / len(limited)) + 1e-9)
+    if points ** len(limited) > _MAX_POSES:
+        most = math.floor(_MAX_POSES ** (1.0 / len(limited)) + 1e-9)
         expected = f"at most {most} over {len(limited)} coordinates; or sample poses"
         raise InvalidValueError("points", points, expected)
     return robot.grid(**limited)

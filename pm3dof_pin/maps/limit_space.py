@@ -21,7 +21,7 @@ Flags: TypeAlias = NDArray[np.uint32]
 DECLARED_RANGE = "declared_range"
 """Name of the limit that a coordinate leaves its declared range, or one turn about home if it has none."""
 
-_MOST_COORDINATES = 3
+_MAX_COORDINATES = 3
 _BATCH = 200_000  # poses at a time
 _AROUND = 0.02  # of a range, beyond its ends
 _SLOW = 0.25  # of the points otherwise taken along each coordinate, for robots that no program solves
@@ -50,7 +50,7 @@ class LimitSpace:
     @property
     def stacked(self) -> bool:
         """Whether there is a third coordinate."""
-        return len(self.names) == _MOST_COORDINATES
+        return len(self.names) == _MAX_COORDINATES
 
     def within(self, points: Array, level: float | None = None) -> NDArray[np.bool_]:
         """Tell which points are within the limits, shape=(..., number of coordinates); or (..., 2), at a level."""
@@ -80,7 +80,7 @@ def robot_space(
     """
     robot.assemble()  # at home, where searches start
     chosen = names or _default_names(robot)
-    if not 2 <= len(set(chosen)) == len(chosen) <= _MOST_COORDINATES:
+    if not 2 <= len(set(chosen)) == len(chosen) <= _MAX_COORDINATES:
         raise InvalidValueError(
             "coordinates", ", ".join(chosen) or "none", "two for the sections, and optionally one to stack them"
         )
@@ -164,9 +164,9 @@ def coordinates_over(
 
 
 def _default_names(robot: Robot) -> tuple[str, ...]:
-    first = robot.coordinates[:_MOST_COORDINATES]
+    first = robot.coordinates[:_MAX_COORDINATES]
     for stacked in reversed(first):
         others = [coordinate for coordinate in first if coordinate is not stacked]
-        if len(first) == _MOST_COORDINATES and others[0].unit == others[1].unit:
+        if len(first) == _MAX_COORDINATES and others[0].unit == others[1].unit:
             return (*(coordinate.name for coordinate in others), stacked.name)
     return tuple(coordinate.name for coordinate in first)

@@ -74,7 +74,7 @@ class MappedRobot:
     def error_sources(self) -> ErrorSources:
         """The sources of error with the magnitudes of the robot's error file."""
         files = self.robot.files
-        declared = GeometricErrors(self.robot) if files is None else GeometricErrors.of(self.robot, files.errors)
+        declared = GeometricErrors(self.robot) if files is None else GeometricErrors.from_file(self.robot, files.errors)
         return ErrorSources(closable(declared))
 
     def _free_motions_at(self, q: Array) -> FreeMotionStiffness | None:

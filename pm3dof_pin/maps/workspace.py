@@ -24,9 +24,9 @@ BRANCH = "branch"
 """Name of the limit that a pose is on another branch, behind a singular one."""
 
 _SEARCH_POINTS = 33  # along each coordinate of the first grid
-_MOST_SEARCHES = 24
-_MOST_POINTS = 200  # of a search for a small set
-_FARTHEST = 12.0  # size of the set, relative to the first box, at which it counts as endless
+_MAX_SEARCHES = 24
+_MAX_POINTS = 200  # of a search for a small set
+_MAX_DISTANCE = 12.0  # size of the set, relative to the first box, at which it counts as endless
 _TOLERANCE = 1e-9  # of an extreme, relative to the size of the set
 _SECTION_TOLERANCE = 1e-5  # of the extremes of one section
 _PATCH = {1: 25, 2: 13}  # points along each side of the patch in which an extreme is searched, by its dimensions
@@ -254,15 +254,16 @@ def _search(space: LimitSpace) -> tuple[Array, Array]:
         UnreachablePoseError: there are none.
         InvalidValueError: the set has no end.
     """
-    count, box, widest = max(9, round(_SEARCH_POINTS * space.density)), space.box, _FARTHEST * np.ptp(space.box, axis=1)
-    for _ in range(_MOST_SEARCHES):
+    count, box = max(9, round(_SEARCH_POINTS * space.density)), space.box
+    widest = _MAX_DISTANCE * np.ptp(box, axis=1)
+    for _ in range(_MAX_SEARCHES):
         nodes = _nodes([np.linspace(low, high, count) for low, high in box]).reshape(-1, len(box))
         inside, cell = nodes[space.within(nodes)], np.ptp(box, axis=1) / (count - 1)
         if space.within(space.start):
             inside = np.vstack([inside, space.start])
         if not len(inside):
             count = 2 * count - 1
-            if count ** len(box) > _MOST_POINTS**3 * space.density:
+            if count ** len(box) > _MAX_POINTS**3 * space.density:
                 break
             continue
         low, high = inside.min(axis=0), inside.max(axis=0)

@@ -160,7 +160,7 @@ def read_measurements(
         >>> machine = pm.SimulatedMachine(pm.load("pm3dof"))
         >>> commands = [[0.24, 0.24, 0.24], [0.25, 0.24, 0.23]]
         >>> seen = machine.measure(commands, np.random.default_rng(0))
-        >>> path = write_measurements(pm.Measurements.of_poses(np.array(commands), seen), machine.nominal, "seen.csv")
+        >>> path = write_measurements(pm.Measurements.from_poses(np.array(commands), seen), machine.nominal, "seen.csv")
         >>> len(pm.read_measurements(path, machine.nominal))
         2
 

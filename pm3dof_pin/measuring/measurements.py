@@ -39,7 +39,7 @@ class Measurements:
         >>> import numpy as np
         >>> import pm3dof_pin as pm
         >>> poses = pm.load("pm3dof").forward([[0.24, 0.24, 0.24], [0.25, 0.24, 0.23]])
-        >>> len(pm.Measurements.of_poses(poses.commands, poses.transforms))
+        >>> len(pm.Measurements.from_poses(poses.commands, poses.transforms))
         2
 
     Attributes:
@@ -177,7 +177,7 @@ class Measurements:
         return "position" if self.rotations is None else "pose"
 
     @classmethod
-    def of_poses(cls, commands: Array, transforms: Array, instrument: Instrument | None = None) -> Measurements:
+    def from_poses(cls, commands: Array, transforms: Array, instrument: Instrument | None = None) -> Measurements:
         """Make measurements of full poses, or of what an instrument sees of them.
 
         Args:

@@ -161,7 +161,7 @@ class Nuisances:
         self.sigmas = frozen(np.array([part.sigma for part in self.parts for _ in part.names], dtype=float))
 
     @classmethod
-    def of(cls, measurements: Measurements, drive_units: tuple[str, ...]) -> Nuisances:
+    def from_measurements(cls, measurements: Measurements, drive_units: tuple[str, ...]) -> Nuisances:
         """Return the nuisance parameters that measurements imply; drives have units "m" or "rad" each."""
         parts: list[NuisancePart] = []
         drives = {f"u{k}": unit for k, unit in enumerate(drive_units, start=1)}

@@ -35,7 +35,7 @@ from pm3dof_pin.tolerances import CLOSED, RANK_CEILING, RANK_PER_ERROR
 from pm3dof_pin.typing import Indices, Mask, Vector
 
 _MEETING = 1e-9  # m, rad
-_MOST_GROUPS = 31  # with REACH, 32 bits
+_MAX_GROUPS = 31  # with REACH, 32 bits
 _NORM_TOLERANCE = 1e-9
 
 
@@ -422,8 +422,8 @@ class Mechanism:
             if loop.swing_limit is not None and index not in closures:
                 found[re.sub(r"\d+", "", f"{loop.frame_a}-{loop.frame_b}")][1].append(index)
         groups += tuple(LimitGroup(kind, tuple(members[0]), tuple(members[1])) for kind, members in found.items())
-        if len(groups) > _MOST_GROUPS:
-            groups, rest = groups[: _MOST_GROUPS - 1], groups[_MOST_GROUPS - 1 :]
+        if len(groups) > _MAX_GROUPS:
+            groups, rest = groups[: _MAX_GROUPS - 1], groups[_MAX_GROUPS - 1 :]
             others = tuple(name for group in rest for name in group.joints)
             groups += (LimitGroup("others", others, tuple(index for group in rest for index in group.closures)),)
         return groups

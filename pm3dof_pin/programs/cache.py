@@ -78,32 +78,32 @@ def compiled(program: Program | Walk) -> llvm.Compiled:
 
     It is first compiled quickly, and with full optimisation once it has run for enough poses.
     """
-    with_care = partial(_code, program, careful=True)
-    for careful in (True, False):
-        name = _code_name(program, careful=careful)
+    with_care = partial(_code, program, optimized=True)
+    for optimized in (True, False):
+        name = _code_name(program, optimized=optimized)
         code = _read(name)
         if code is not None:
             try:
-                return llvm.Compiled(program, code, faster=None if careful else with_care)
+                return llvm.Compiled(program, code, faster=None if optimized else with_care)
             except ProgramError:
                 _LOG.info("cache entry %s cannot be loaded; recompiled", name)
-    return llvm.Compiled(program, _made(program, careful=False), faster=with_care)
+    return llvm.Compiled(program, _made(program, optimized=False), faster=with_care)
 
 
-def _code(program: Program | Walk, *, careful: bool) -> bytes:
-    return _read(_code_name(program, careful=careful)) or _made(program, careful=careful)
+def _code(program: Program | Walk, *, optimized: bool) -> bytes:
+    return _read(_code_name(program, optimized=optimized)) or _made(program, optimized=optimized)
 
 
-def _made(program: Program | Walk, *, careful: bool) -> bytes:
-    code = llvm.object_code(program, llvm.target().lanes, careful)
-    _keep(_code_name(program, careful=careful), code)
+def _made(program: Program | Walk, *, optimized: bool) -> bytes:
+    code = llvm.object_code(program, llvm.target().lanes, optimized)
+    _keep(_code_name(program, optimized=optimized), code)
     return code
 
 
-def _code_name(program: Program | Walk, *, careful: bool) -> str:
+def _code_name(program: Program | Walk, *, optimized: bool) -> str:
     versions = llvmlite.__version__, ".".join(map(str, binding.llvm_version_info))
     processor = llvm.target()
-    key = program.key, *versions, processor.name, processor.features, str(processor.lanes), str(careful)
+    key = program.key, *versions, processor.name, processor.features, str(processor.lanes), str(optimized)
     return _name("compiled", *key)
 
 

@@ -47,7 +47,7 @@ _ROUNDING = 1e-12
 _SIGN = 1e-9
 """Determinants up to this, relative to the usual one, have no sign."""
 
-_LEAST_DAMPING = 1e-8
+_MIN_DAMPING = 1e-8
 """Least damping of damped steps, relative to the squared error."""
 
 _LONGEST_STEP = 0.5
@@ -56,8 +56,8 @@ _LONGEST_STEP = 0.5
 _REGULAR = 1.0 - 2.0**-10
 """Regularity of configurations at least as far from singular ones as usual."""
 
-_MOST_EXPANDED = 6  # rows of a determinant that is expanded; a larger one is eliminated
-_MOST_BITS = 30  # of the mode, which leaves seven digits for the regularity
+_MAX_EXPANDED = 6  # rows of a determinant that is expanded; a larger one is eliminated
+_MAX_BITS = 30  # of the mode, which leaves seven digits for the regularity
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Task:
     tool: tuple[ToolComponent, ...] = ()
 
     @classmethod
-    def of(cls, coordinates: Iterable[Coordinate]) -> Task:
+    def from_coordinates(cls, coordinates: Iterable[Coordinate]) -> Task:
         """Return the task of prescribing coordinates: joints first, then the tool."""
         given = tuple(coordinates)
         return cls(tuple(c.joint for c in given if c.joint is not None), tuple(c.tool for c in given if c.tool))
@@ -108,7 +108,7 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
         solution, size, is_flipped = system.solved(-system.error[:, None], moves)
         moves |= dict(zip(system.unknowns, solution, strict=True))
         regularity = minimum(regularity, size)
-        mode = mode + select(is_flipped, 2.0**bit, 0.0) if bit < _MOST_BITS else mode
+        mode = mode + select(is_flipped, 2.0**bit, 0.0) if bit < _MAX_BITS else mode
         longest = maximum(longest, largest(solution[:, 0]))
     velocities = {k: move[0] * (scale if k in slides else 1.0) for k, move in moves.items()}
     outputs = {
@@ -139,7 +139,7 @@ def damped_closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike,
     tree, equations, scale, slides, held, (*best, damping, cost), _ = given
     error: Scalar = sum((equation.error @ equation.error for equation in equations), start=0.0)
     is_worse = less(cost, error)
-    size = select(is_worse, damping * 100.0, maximum(damping * 0.1, _LEAST_DAMPING))
+    size = select(is_worse, damping * 100.0, maximum(damping * 0.1, _MIN_DAMPING))
     moves: dict[int, Scalar] = {}
     at_samples = [_at_samples(equation) for equation in equations]
     for members, unknowns in joined(at_samples, held, range(len(equations))):
@@ -362,7 +362,7 @@ def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Sc
 def _determinant(matrix: Objects) -> Scalar:
     """Return the determinant of a square matrix, up to a factor that is the same everywhere."""
     size = len(matrix)
-    if size > _MOST_EXPANDED:
+    if size > _MAX_EXPANDED:
         result = eliminate(matrix, range(size), Doubt())
         return math.prod(np.diag(result.pivot_rows[:, list(result.columns)])) if not result.dropped else 0.0
     minors: dict[tuple[int, ...], Scalar] = {(): 1.0}  # of the first rows, by columns

@@ -144,7 +144,7 @@ class World:
         conditions = self.conditions(len(commands), generator) | dict(given or {})
         surroundings = self._surroundings(commands, conditions)
         seen = self.machine.measure(commands, generator, surroundings, instrument)
-        measurements = Measurements.of_poses(commands, seen, instrument)
+        measurements = Measurements.from_poses(commands, seen, instrument)
         rows = len(measurements) // max(1, len(commands))  # rows of each pose, one for each target
         return replace(measurements, conditions={name: np.repeat(v, rows) for name, v in conditions.items()})
 

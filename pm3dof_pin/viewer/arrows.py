@@ -30,7 +30,7 @@ class ActuatorAxis:
     turns: bool
 
     @classmethod
-    def of(cls, configuration: Configuration) -> tuple[ActuatorAxis, ...]:
+    def from_configuration(cls, configuration: Configuration) -> tuple[ActuatorAxis, ...]:
         """Return the axes of all actuated joints, in order."""
         mechanism, placements, axes = configuration.mechanism, joint_placements(configuration), []
         for name in mechanism.actuated_joints:

@@ -46,7 +46,7 @@ class BodyPart:
     """One drawn object of a body; its placement and box corners, shape=(8, 3) [m], are in the body frame."""
 
     name: str
-    lowered: Json
+    scene_object: Json
     placement: Array
     colour: tuple[float, float, float, float]
     corners: Array
@@ -76,7 +76,7 @@ class Bodies(tuple[Body, ...]):
     """All drawn bodies of a mechanism."""
 
     @classmethod
-    def of(cls, mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | None = None) -> Bodies:
+    def from_mechanism(cls, mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | None = None) -> Bodies:
         """Return the drawn bodies of a mechanism.
 
         By default the visuals of the file it was read from; a stick figure if these are missing or lack a mesh.
@@ -173,12 +173,12 @@ def _part(shape: Shape, placement: Array) -> list[BodyPart]:
     return [
         BodyPart(
             f"{_name(shape)}_{number}" if number else _name(shape),
-            objects.mesh(lowered, colour[:3], opacity=colour[3]),
+            objects.mesh(scene_object, colour[:3], opacity=colour[3]),
             placement @ turn,
             colour,
             _corners(np.array([-half, half]), placement),
         )
-        for number, (lowered, turn) in enumerate(drawn)
+        for number, (scene_object, turn) in enumerate(drawn)
     ]
 
 
@@ -258,11 +258,11 @@ def _rod(name: str, end: Array, size: float, *, is_base: bool) -> list[BodyPart]
         return []
     turn = objects.transform(objects.turn_z_to(end), 0.5 * end)
     colour, radius = (_PASSIVE_COLOUR, 0.008) if is_base else (_STICK_COLOUR, 0.02)
-    lowered = objects.mesh(objects.cylinder(radius * size, length), colour)
-    return [BodyPart(name, lowered, turn @ objects.Y_TO_Z, (*colour, 1.0), np.stack([np.zeros(3), end]))]
+    scene_object = objects.mesh(objects.cylinder(radius * size, length), colour)
+    return [BodyPart(name, scene_object, turn @ objects.Y_TO_Z, (*colour, 1.0), np.stack([np.zeros(3), end]))]
 
 
 def _ball(name: str, middle: Array, radius: float, colour: Colour) -> BodyPart:
-    lowered = objects.mesh(objects.sphere(radius), colour)
+    scene_object = objects.mesh(objects.sphere(radius), colour)
     corners = middle + radius * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
-    return BodyPart(name, lowered, objects.transform(translation=middle), (*colour, 1.0), corners)
+    return BodyPart(name, scene_object, objects.transform(translation=middle), (*colour, 1.0), corners)

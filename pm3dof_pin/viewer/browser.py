@@ -196,10 +196,10 @@ class Browser:
                 if "id" in message:
                     self._answers.put(message)
                 else:
-                    self.hear(message)
+                    self.on_message(message)
         self._answers.put({"gone": True})
 
-    def hear(self, event: Json) -> None:
+    def on_message(self, event: Json) -> None:
         """Record an event from the page."""
         self._events.append(event)
 

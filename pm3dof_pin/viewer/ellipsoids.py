@@ -73,7 +73,7 @@ class DrawnEllipsoid:
     unit: str
 
     @classmethod
-    def of(cls, matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str) -> DrawnEllipsoid:
+    def from_matrix(cls, matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str) -> DrawnEllipsoid:
         """Return the ellipsoid of a 3 x 3 block at a point [m]; InvalidValueError unless the scale is positive."""
         if not (math.isfinite(scale) and scale > 0.0):
             raise InvalidValueError("scale", scale, "a positive length for one unit")

@@ -50,12 +50,12 @@ def draw_in_meshcat(
         if kind not in drawn:  # from an earlier call
             visualizer["ellipsoids"][kind].delete()
 
-    def hear(message: Message) -> None:
+    def on_message(message: Message) -> None:
         for command in message.get("commands", []):
             if str(command.get("path", "")).startswith(_OWN):
                 visualizer.window.send(_Command(command, visualizer.path.lower()))
 
-    hear(viewer.scene.listen(hear))
+    on_message(viewer.scene.listen(on_message))
     return viewer
 
 
@@ -68,8 +68,8 @@ class _Command:
 
     def lower(self) -> Message:
         """Return the data to be packed and sent."""
-        lowered: Message = _packed(self._command)
-        return {**lowered, "path": self._root + self._command["path"]}
+        scene_object: Message = _packed(self._command)
+        return {**scene_object, "path": self._root + self._command["path"]}
 
 
 def _packed(value: Any) -> Any:

@@ -194,7 +194,7 @@ def declared_errors(robot: Robot) -> GeometricErrors:
     file = robot.files.errors
     if not file.is_file():
         raise DescriptionError(file, "file", "is missing, expected the tolerances of the robot's parts")
-    return closable(GeometricErrors.of(robot, file), robot.at([robot.home.q]))
+    return closable(GeometricErrors.from_file(robot, file), robot.at([robot.home.q]))
 
 
 @lru_cache(maxsize=8)

@@ -35,7 +35,7 @@ class Entry:
     #: numbers that can colour the nodes in `colours`, in order, by the scale `stops`
     cut: Json | None = None
 
-    def lowered(self) -> Json:
+    def to_json(self) -> Json:
         """Return the entry in the page's format."""
         return dict(vars(self))
 

@@ -47,9 +47,9 @@ class Scene:
         self._lock = threading.RLock()
         self.panel: Json = {}
 
-    def set_object(self, path: str, lowered: Json, *, casts_shadow: bool = True) -> None:
+    def set_object(self, path: str, scene_object: Json, *, casts_shadow: bool = True) -> None:
         """Set an object of :mod:`pm3dof_pin.viewer.objects` at a path; translucent ones cast no shadow."""
-        self._apply({"type": "set_object", "path": path, "object": lowered})
+        self._apply({"type": "set_object", "path": path, "object": scene_object})
         if not casts_shadow:
             self.set_property(path, "castShadow", False)
             self.set_property(path, "receiveShadow", False)
@@ -110,7 +110,7 @@ class Scene:
             self._listeners.append(listener)
             return self.snapshot()
 
-    def forget(self, listener: Listener) -> None:
+    def unsubscribe(self, listener: Listener) -> None:
         """Remove a listener; an unknown one is ignored."""
         with self._lock:
             self._listeners = [other for other in self._listeners if other != listener]

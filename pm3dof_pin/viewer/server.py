@@ -77,7 +77,7 @@ class SceneServer:
         await self._stop.wait()
         server.stop()
         for handler in list(handlers):
-            handler.leave()
+            handler.disconnect()
         await server.close_all_connections()
 
 
@@ -123,7 +123,7 @@ class _Socket(_OwnAddressOnly, WebSocketHandler):
     def open(self, *args: str, **kwargs: str) -> None:
         """Send the scene, and from now on every change."""
         self._handlers.add(self)
-        self._send(self._scene.listen(self._hear))
+        self._send(self._scene.listen(self._on_message))
 
     def on_message(self, message: str | bytes) -> None:
         """Ignore messages from pages."""
@@ -131,14 +131,14 @@ class _Socket(_OwnAddressOnly, WebSocketHandler):
     def on_close(self) -> None:
         """Forget the page."""
         self._handlers.discard(self)
-        self._scene.forget(self._hear)
+        self._scene.unsubscribe(self._on_message)
 
-    def leave(self) -> None:
+    def disconnect(self) -> None:
         """Close the connection from this side."""
-        self._scene.forget(self._hear)
+        self._scene.unsubscribe(self._on_message)
         self.close()
 
-    def _hear(self, message: Message) -> None:
+    def _on_message(self, message: Message) -> None:
         # called in the thread that changes the scene; the connection belongs to the server's thread
         self._loop.call_soon_threadsafe(self._send, message)
 

@@ -156,7 +156,7 @@ class ShownScene:
             self.scene.set_colour(item["path"], [*item["colour"], item["own"][3]] if entry.visible else item["own"])
         self._update()
 
-    def _take_away(self, entry: Entry) -> None:
+    def _remove_entry(self, entry: Entry) -> None:
         del self._entries[entry.key]
         self._beside.pop(entry.key, None)
         for path in entry.nodes:
@@ -165,7 +165,7 @@ class ShownScene:
             self.scene.set_colour(item["path"], item["own"])
 
     def _update(self) -> None:
-        self.scene.set_panel(self._panel | {"legend": [entry.lowered() for entry in self._entries.values()]})
+        self.scene.set_panel(self._panel | {"legend": [entry.to_json() for entry in self._entries.values()]})
 
     def _page(self, *, served: bool) -> str:
         title = str(self.scene.panel.get("title", ""))

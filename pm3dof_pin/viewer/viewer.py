@@ -99,7 +99,7 @@ class Viewer(ShownScene):
         if model is not None and not mechanism.matches(model.rigid):
             raise InvalidValueError("model", model, f"an elastic model of {mechanism}")
         self.mechanism = mechanism
-        self._bodies = Bodies.of(mechanism, visuals)
+        self._bodies = Bodies.from_mechanism(mechanism, visuals)
         self._box = self._bodies.box(mechanism.home)
         self._radius = max(1e-3, 0.5 * float(np.linalg.norm(self._box[1] - self._box[0])))
         self._unit_length = ellipsoids.round_length(0.42 * self._radius)  # of semi-axes and arrows, rounded
@@ -139,8 +139,8 @@ class Viewer(ShownScene):
             configuration = self.mechanism.configuration(configuration)
         self._configuration = configuration
         for entry in [entry for entry in self._entries.values() if entry.of_pose]:
-            self._take_away(entry)
-        self._look_again()
+            self._remove_entry(entry)
+        self._reset_camera()
         self.scene.set_transforms(self._bodies.placements(configuration))
         if self._panel.get("path"):
             self._panel["path"] = None
@@ -246,7 +246,7 @@ class Viewer(ShownScene):
         Raises:
             InvalidValueError: the forces are not finite or have the wrong shape, or the scale is not positive.
         """
-        axes = arrows.ActuatorAxis.of(self._configuration)
+        axes = arrows.ActuatorAxis.from_configuration(self._configuration)
         values = finite_array("forces", forces, (len(axes),))
         if scale is None:
             scale = self._kept_scale(("forces",), np.abs(values).max(initial=0.0))
@@ -406,7 +406,7 @@ class Viewer(ShownScene):
         body_path, in_body = self._body_at(tool)
         shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)
         self._show(surface.entry("/workspace", f"{body_path}/tool", length))
-        self._look_again()
+        self._reset_camera()
 
     def play(
         self,
@@ -486,7 +486,7 @@ class Viewer(ShownScene):
         }
         self._update()
 
-    def _look_again(self) -> None:
+    def _reset_camera(self) -> None:
         if not self.is_served:  # no user can have turned the picture yet
             self.look(*self._direction)
 
@@ -507,7 +507,7 @@ class Viewer(ShownScene):
         if scale is None:
             sizes = np.abs(np.linalg.eigvalsh(block))
             scale = self._kept_scale((kind, of, others), max(sizes.max(), _BULK * sizes.min()))
-        drawn = DrawnEllipsoid.of(block, self._point(at), scale=scale, unit=unit)
+        drawn = DrawnEllipsoid.from_matrix(block, self._point(at), scale=scale, unit=unit)
         key, title, live = kind if at is None else f"{kind}_at_{place}", f"{kind.capitalize()} {of}", None
         if at is not None:
             title += f" at {at if isinstance(at, str) else 'a point'}"
@@ -520,7 +520,7 @@ class Viewer(ShownScene):
             ellipsoids.draw_ellipsoid(self.scene, path, kind)
         self.scene.set_transform(path, drawn.transform)
         self._beside[key] = drawn.position + np.concatenate([sign * drawn.transform[:3, :3].T for sign in _ROOM])
-        self._look_again()
+        self._reset_camera()
         self._show(
             Entry(
                 key=key,
@@ -543,7 +543,7 @@ class Viewer(ShownScene):
         for body in self._bodies:
             for part in body.parts:
                 path = f"{body.parts_path}/{part.name}"
-                self.scene.set_object(path, part.lowered)
+                self.scene.set_object(path, part.scene_object)
                 self.scene.set_transform(path, part.placement)
         draw_surroundings(self.scene, self._box.mean(axis=0), self._radius, float(self._box[0, 2]))
 

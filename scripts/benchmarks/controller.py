@@ -42,7 +42,7 @@ def main() -> None:
         poses = robot.solve(circle)
         row: list[float] = []
         for coordinates, values in ((robot.coordinates, circle), (robot.command_coordinates, poses.commands)):
-            walk, parameters = program_source(robot).printable_walk(robot, Task.of(coordinates))
+            walk, parameters = program_source(robot).printable_walk(robot, Task.from_coordinates(coordinates))
             numbers = (values - [c.offset for c in coordinates]) / [c.scale for c in coordinates]
             order = sorted(range(len(coordinates)), key=lambda k: coordinates[k].joint is None)
             source = c99(walk.renamed("walk"), summary=f"Closes the loops of {name}.")

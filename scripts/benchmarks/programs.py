@@ -43,7 +43,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             os.environ["PM3DOF_CACHE_DIR"] = folder
             first, _ = timed(lambda: cache.compiled(cache.stored(robot, lambda: program)))  # noqa: B023
-            careful, _ = timed(lambda: llvm.object_code(program, processor.lanes, careful=True))  # noqa: B023
+            careful, _ = timed(lambda: llvm.object_code(program, processor.lanes, optimized=True))  # noqa: B023
             second, compiled = timed(lambda: cache.compiled(cache.stored(robot, lambda: program)))  # noqa: B023
             parameters = elastic_program(model, frame, "compliance", COMPLIANCE.traced, closed=True).parameters
         poses = np.tile(model.rigid.home.q, (POSES, 1))

@@ -139,7 +139,7 @@ def true_parameters(robot: str, seed: int) -> np.ndarray:
     """Return the parameters that describe a machine's geometry exactly, by exact poses all over its workspace."""
     errors, machine = described(robot), machine_of(robot, seed, 0.0)[0]
     dense = pm.reachable_poses(errors.robot, _DENSE, np.random.default_rng(7)).commands
-    exact = Measurements.of_poses(dense, machine.poses(dense))
+    exact = Measurements.from_poses(dense, machine.poses(dense))
     return np.asarray(identify(exact, errors, prior=_NO_PRIOR, loss="squares").values)
 
 

@@ -67,7 +67,7 @@ def _at_the_description(
     """
     errors, numbers, count = station.errors, measurements.pose_numbers, len(station.errors)
     poses, drives = station.poses[numbers], station.by_drives[numbers]
-    nuisances = Nuisances.of(measurements, tuple(command.unit for command in errors.robot.commands))
+    nuisances = Nuisances.from_measurements(measurements, tuple(command.unit for command in errors.robot.commands))
     known = np.zeros(len(nuisances)) if known is None else known
     settled = nuisances.removed(measurements, poses, drives, known)
     others = nuisances.motions(measurements, poses, drives)
@@ -77,7 +77,7 @@ def _at_the_description(
         measurements,
         settled,
         errors,
-        ElasticTerm.of(errors.robot, measurements),
+        ElasticTerm.from_measurements(errors.robot, measurements),
         nuisances,
         prior,
         poses,
@@ -88,7 +88,7 @@ def _at_the_description(
 
 
 def _solved(problem: Linearisation, prior_error: float) -> Identification:
-    return Identification.of(problem, problem.robust("tukey", None), "tukey", prior_error, 1)
+    return Identification.from_fit(problem, problem.robust("tukey", None), "tukey", prior_error, 1)
 
 
 def identified(station: Station, measurements: Measurements) -> Identification:
@@ -175,7 +175,7 @@ def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, 
         uncertain[own] = effects @ covariance @ np.swapaxes(effects, 1, 2)
     known = seen.covariances + seen.shown @ uncertain @ seen.shown
     given = (missed, known, seen.shown, station.control, units)
-    scatter, sure = Scatter.of(*given), Scatter.of(*given, least=1.0)
+    scatter, sure = Scatter.from_errors(*given), Scatter.from_errors(*given, least=1.0)
     gains = control_inverse(station.control)
     spread = correction.covariances(station) + sure.covariances(station.control)
     interval = sure.excess_interval(correction.standard_effects(station), station.control)

@@ -32,7 +32,7 @@ TURN = pin.exp3(np.array([0.02, 0.0, 0.0]))
 def measured(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Measurements:
     truth = tripod_errors.sample(np.random.default_rng(8))
     reached = tripod_errors.apply(truth).forward(tripod_nominal[:20].commands, guess=tripod_nominal[:20].q)
-    return Measurements.of_poses(reached.commands, reached.transforms)
+    return Measurements.from_poses(reached.commands, reached.transforms)
 
 
 def _inverse(measurements: Measurements) -> Measurements:
@@ -150,7 +150,7 @@ def test_what_explains_all_goes_before_what_is_simpler_and_leaves_more_than_the_
     errors = closable(GeometricErrors.load(Path(__file__).parents[1] / "machines" / "five_bar"))
     rng = np.random.default_rng(0)
     poses = errors.robot.forward(errors.robot.home.commands + rng.uniform(-0.25, 0.25, (20, 2)))
-    seen = Measurements.of_poses(poses.commands, poses.transforms)
+    seen = Measurements.from_poses(poses.commands, poses.transforms)
     assert seen.rotations is not None
     shifted = seen.positions + seen.rotations @ np.array([0.003, -0.002, 0.0]) + rng.normal(0.0, 8e-6, (20, 3))
     cause = likely_cause(replace(seen, positions=shifted), errors)

@@ -131,14 +131,14 @@ def test_closed_chains_have_as_many_parameters_as_their_joints_leave(mechanism: 
 
 
 def test_observability_indices_by_hand() -> None:
-    indices = ObservabilityIndices.of([8.0, 4.0, 2.0], 4)
+    indices = ObservabilityIndices.from_singular_values([8.0, 4.0, 2.0], 4)
     assert pytest.approx(4.0 / 2.0) == indices.O1
     assert pytest.approx(0.25) == indices.O2
     assert pytest.approx(2.0) == indices.O3
     assert pytest.approx(0.5) == indices.O4
     assert pytest.approx(1.0 / (0.125 + 0.25 + 0.5)) == indices.O5
     with pytest.raises(InvalidValueError):
-        ObservabilityIndices.of([1.0, 0.0], 1)
+        ObservabilityIndices.from_singular_values([1.0, 0.0], 1)
 
 
 def test_names_of_directions_and_shapes(tripod_errors: GeometricErrors) -> None:

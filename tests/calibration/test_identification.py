@@ -40,7 +40,7 @@ def simulated(errors: GeometricErrors, truth: np.ndarray, poses: Poses, seed: in
         turned[:, :3, :3] = Rotation.from_rotvec(noise[:, 3:]).as_matrix() @ reached[:, :3, :3]
         turned[:, :3, 3] += noise[:, :3]
         reached = turned
-    return Measurements.of_poses(poses.commands, reached)
+    return Measurements.from_poses(poses.commands, reached)
 
 
 def test_exact_without_noise(tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses) -> None:
@@ -288,7 +288,7 @@ def test_errors_that_are_missing_show_in_the_noise_factor(
     """Every joint of the machine has all six errors: the complete file explains them."""
     machine = SimulatedMachine.random(tripod_errors, np.random.default_rng(0))
     seen = machine.measure(tripod_nominal.commands[:60], np.random.default_rng(1))
-    measurements = Measurements.of_poses(tripod_nominal.commands[:60], seen)
+    measurements = Measurements.from_poses(tripod_nominal.commands[:60], seen)
     missing = ["passive_slider_joint.rz", "platform_x_joint.ry", "platform_y_joint.tz", "platform_y_joint.rz"]
     assert identify(measurements, tripod_errors).noise_factor < 1.2
     assert identify(measurements, tripod_errors.without([*missing, "O_e.rx", "O_e.rz"])).noise_factor > 2.0
@@ -313,7 +313,7 @@ def test_other_mechanisms(name: str, serial_arm: Robot) -> None:
 
 
 def test_nothing_to_identify_with(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    measurements = Measurements.of_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
+    measurements = Measurements.from_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
     with pytest.raises(InvalidValueError, match="0 measurements"):
         identify(measurements[:0], tripod_errors)
     with pytest.raises(InvalidValueError, match="prior"):

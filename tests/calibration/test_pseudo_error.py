@@ -44,7 +44,7 @@ def test_a_deviation_of_the_joints_is_found_again(tripod_nominal: Poses) -> None
     poses = tripod_nominal[:20]
     deviations = np.random.default_rng(0).normal(0.0, 2e-4, (20, 3))
     reached = poses.robot.forward(poses.commands + deviations, guess=poses.q)
-    found = pseudo_errors(Measurements.of_poses(poses.commands, reached.transforms), poses)
+    found = pseudo_errors(Measurements.from_poses(poses.commands, reached.transforms), poses)
     np.testing.assert_allclose(found.deviations, deviations, atol=1e-12)
     assert np.abs(found.left).max() < 1e-12
 
@@ -54,7 +54,7 @@ def test_positions_show_the_height_and_nothing_else(tripod_nominal: Poses) -> No
     poses = tripod_nominal[:20]
     moved = np.array(poses.transforms)
     moved[:, :3, 3] += [2e-4, -1e-4, 3e-4]
-    found = pseudo_errors(Measurements.of_poses(poses.commands, moved, Instrument("position")), poses)
+    found = pseudo_errors(Measurements.from_poses(poses.commands, moved, Instrument("position")), poses)
     np.testing.assert_allclose(found.left, np.tile([2e-4, -1e-4, 0.0, 0.0, 0.0, 0.0], (20, 1)), atol=1e-9)
     assert np.abs(found.deviations).max() < 1e-3
 
@@ -81,7 +81,7 @@ def test_no_other_deviation_comes_nearer(eta: float, tripod_nominal: Poses) -> N
     moved = np.array(poses.transforms)
     moved[:, :3, 3] += generator.normal(0.0, 1e-4, (10, 3))
     moved[:, :3, :3] = Rotation.from_rotvec(generator.normal(0.0, 1e-3, (10, 3))).as_matrix() @ moved[:, :3, :3]
-    best = poses.commands + pseudo_errors(Measurements.of_poses(poses.commands, moved), poses, eta).deviations
+    best = poses.commands + pseudo_errors(Measurements.from_poses(poses.commands, moved), poses, eta).deviations
     np.testing.assert_allclose(nearest_poses(poses, moved, eta).commands, best, atol=1e-9)
 
     def distance(commands: np.ndarray) -> np.ndarray:
@@ -103,16 +103,16 @@ def test_the_noise_of_a_deviation_is_that_of_the_measurement(tripod_nominal: Pos
     seen = np.array(nominal.transforms)
     seen[:, :3, 3] += noise[:, :3]
     seen[:, :3, :3] = Rotation.from_rotvec(noise[:, 3:]).as_matrix() @ seen[:, :3, :3]
-    found = pseudo_errors(Measurements.of_poses(commands, seen), nominal)
+    found = pseudo_errors(Measurements.from_poses(commands, seen), nominal)
     spread = np.cov(found.deviations.T)
     np.testing.assert_allclose(spread, found.covariances[0], atol=0.1 * np.abs(spread).max())
 
 
 def test_inputs_are_scaled_by_the_limits(tripod_nominal: Poses) -> None:
     """The stroke is 85 mm to either side; temperatures are scaled by the measured range."""
-    measurements = Measurements.of_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
+    measurements = Measurements.from_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
     conditions = {"temperature_a_K": np.array([2.0, 4.0, 6.0]), "load_z_N": np.full(3, 7.0)}
-    scale = InputScale.of(tripod_nominal.robot, replace(measurements, conditions=conditions))
+    scale = InputScale.from_measurements(tripod_nominal.robot, replace(measurements, conditions=conditions))
     assert scale.conditions == ("temperature_a_K",)
     assert scale.middle() == {"temperature_a_K": 4.0}
     scaled = scale.scaled(0.240272 + np.array([[0.085, 0.0, -0.085]]), {"temperature_a_K": 6.0})
@@ -234,7 +234,7 @@ def test_conditions_beyond_those_measured_are_told() -> None:
 def test_poses_that_are_no_numbers_are_infinitely_wrong(tripod_nominal: Poses) -> None:
     """So that a step there is shortened: eigenvalues of NaN are a LAPACK error."""
     poses = tripod_nominal[:3]
-    measurements = Measurements.of_poses(poses.commands, poses.transforms)
+    measurements = Measurements.from_poses(poses.commands, poses.transforms)
     q = np.array(poses.q)
     q[1] = np.nan
     errors = seen_errors(measurements, poses.robot.at(q)).errors

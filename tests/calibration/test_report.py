@@ -73,7 +73,7 @@ def test_a_calibration_in_a_frame_of_the_instrument_is_read_again(
 ) -> None:
     commands, generator = tripod_nominal[:20].commands, np.random.default_rng(3)
     poses = tripod_errors.apply(tripod_errors.sample(generator)).forward(commands)
-    measured = replace(Measurements.of_poses(commands, poses.transforms), registration=AT_THE_BASE)
+    measured = replace(Measurements.from_poses(commands, poses.transforms), registration=AT_THE_BASE)
     found = calibrate(measured, tripod_errors, "lm")
     again = read_compensation(found.save(tmp_path / "calibration"))
     np.testing.assert_array_equal(again.covariance, found.compensation.covariance)

@@ -33,7 +33,7 @@ def drawn(
 def test_all_kinds_are_found(seen: int, units: tuple[str, str]) -> None:
     turned = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 6)))[0][:, :seen]
     everywhere = EVERYWHERE if seen == 6 else EVERYWHERE[[0, 0]]  # for parts of poses both are taken as equal
-    found = Scatter.of(*drawn(np.random.default_rng(2), turned @ turned.T, KINDS[units], everywhere), units)
+    found = Scatter.from_errors(*drawn(np.random.default_rng(2), turned @ turned.T, KINDS[units], everywhere), units)
     # a few hundred poses' worth of information: to a tenth
     np.testing.assert_allclose(found.everywhere, everywhere, rtol=0.1)
     np.testing.assert_allclose(found.drives, KINDS[units], rtol=0.1)
@@ -44,9 +44,9 @@ def test_where_all_is_explained_next_to_nothing_is_found() -> None:
     generator = np.random.default_rng(3)
     errors, known, shown, control = (a[:40] for a in drawn(generator, np.eye(6), np.zeros(2), np.zeros(2)))
     errors = np.einsum("nij,nj->ni", np.linalg.cholesky(known), generator.standard_normal((40, 6)))
-    found = Scatter.of(errors, known, shown, control, ("m", "m"))
+    found = Scatter.from_errors(errors, known, shown, control, ("m", "m"))
     assert found.tip_error**2 < 0.2 * np.einsum("nii->n", known).mean()  # 2.4 standard errors of 40 poses
-    assert Scatter.of(0.5 * errors, known, shown, control, ("m", "m")).tip_error == 0.0
+    assert Scatter.from_errors(0.5 * errors, known, shown, control, ("m", "m")).tip_error == 0.0
 
 
 def test_parts_below_their_standard_error_are_left_out_on_request() -> None:
@@ -57,7 +57,7 @@ def test_parts_below_their_standard_error_are_left_out_on_request() -> None:
         _, known, shown, control = (a[:40] for a in drawn(generator, np.eye(6), np.zeros(2), np.zeros(2)))
         errors = np.einsum("nij,nj->ni", np.linalg.cholesky(known), generator.standard_normal((40, 6)))
         seen = (errors, known, shown, control, ("m", "m"))
-        found.append([Scatter.of(*seen, least=least).tip_error > 0.0 for least in (0.0, 1.0)])
+        found.append([Scatter.from_errors(*seen, least=least).tip_error > 0.0 for least in (0.0, 1.0)])
     some, sure = np.mean(found, axis=0)
     assert 0.35 < some < 0.9
     assert sure < 0.4
@@ -68,7 +68,7 @@ def test_estimates_are_as_uncertain_as_they_say() -> None:
     generator, gains, found = np.random.default_rng(6), np.eye(6)[None, :4], []
     for _ in range(80):
         errors, known, shown, control = (a[:60] for a in drawn(generator, np.eye(6), KINDS["m", "m"], EVERYWHERE))
-        scatter, at = Scatter.of(errors, known, shown, control, ("m", "m")), np.broadcast_to(gains, (60, 4, 6))
+        scatter, at = Scatter.from_errors(errors, known, shown, control, ("m", "m")), np.broadcast_to(gains, (60, 4, 6))
         square = np.einsum("nij,njk,nik->", at, scatter.covariances(control), at) / 60
         found.append([square, np.sqrt(scatter.mean_square_variance(at, control))])
     squares, deviations = np.transpose(found)

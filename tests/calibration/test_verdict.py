@@ -46,7 +46,7 @@ def calibration(truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nomina
     reached[:, :3, 3] += noise[:, :3] + SCATTER * generator.standard_normal((len(poses), 3))
     reached[:, :3, :3] = Rotation.from_rotvec(noise[:, 3:]).as_matrix() @ reached[:, :3, :3]
     times = 60.0 * np.arange(len(poses))
-    return fit(replace(Measurements.of_poses(poses.commands, reached), times=times), tripod_errors, Options("lm"))
+    return fit(replace(Measurements.from_poses(poses.commands, reached), times=times), tripod_errors, Options("lm"))
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_warming_and_backlash_are_said(
     reached = np.array(machine.forward(commands + 10e-6 * side, guess=nominal.q).transforms)
     growth = 8.0 * 12e-6 * part[:, None] * reached[:, :3, 3]
     reached[:, :3, 3] += growth + generator.normal(0.0, 7.5e-6, growth.shape)
-    seen = replace(Measurements.of_poses(commands, reached), times=3600.0 * part, approaches=side)
+    seen = replace(Measurements.from_poses(commands, reached), times=3600.0 * part, approaches=side)
     found = {each.kind: each for each in Systematic.all_from_fit(fit(seen, tripod_errors, Options("lm")))}
     slid = np.abs(
         machine.forward(commands + 10e-6 * side, guess=nominal.q).positions - machine.forward(commands).positions
@@ -136,10 +136,10 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     """Heights do not determine the tilts: machines consistent with the data, with full or cautious corrections."""
     poses, generator = tripod_nominal[:12], np.random.default_rng(3)
     truth = tripod_errors.apply(0.6 * tripod_errors.sample(generator)).forward(poses.commands, guess=poses.q)
-    measured = Measurements.of_poses(poses.commands, truth.transforms)
+    measured = Measurements.from_poses(poses.commands, truth.transforms)
     heights = replace(measured, rotations=None, sigmas=np.tile([np.inf, np.inf, 7.5e-6], (12, 1)))
     found = fit(heights, tripod_errors, Options("lm", prior=1.0))
-    whole = Compensation.of(found.identification, found.options.eta)
+    whole = Compensation.from_identification(found.identification, found.options.eta)
     corrections = [compensation.corrected(poses) for compensation in (whole, found.compensation)]
     commands, starts = np.concatenate([poses.commands, *corrections]), np.tile(poses.q, (3, 1))
     wanted = np.tile(poses.transforms, (3, 1, 1))
@@ -149,7 +149,7 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
         sums = np.sum(tip_error(pose_difference(wanted, reached)).reshape(3, -1) ** 2, axis=1)
         gains.append(sums[0] - sums[1:])
     harmed, gained = np.mean(np.array(gains) < 0.0, axis=0), np.mean(gains, axis=0)
-    gain = Gain.of(whole, poses.commands)
+    gain = Gain.from_compensation(whole, poses.commands)
     assert gain is not None
     chance = gain.chance_of_harm(found.identification.values)
     assert 0.05 < chance < 0.5

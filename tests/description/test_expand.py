@@ -302,7 +302,7 @@ def test_an_expansion_that_ends_early_is_refused(tmp_path: Path, monkeypatch: py
     path.write_text('<robot name="arm"><link name="l"/></robot>', encoding="utf-8")
     slow = subprocess.TimeoutExpired("python", 15)
     killed, failed = (subprocess.CompletedProcess([], status, "", "a\nMemoryError") for status in (-9, 1))
-    huge = subprocess.CompletedProcess([], 0, json.dumps({"texts": [" " * (expand.MOST_BYTES + 1)]}), "")
+    huge = subprocess.CompletedProcess([], 0, json.dumps({"texts": [" " * (expand.MAX_BYTES + 1)]}), "")
     for ending, said in (
         (slow, "takes more than 15 s"),
         (OSError("no more processes"), "in a separate process .no more processes"),

@@ -84,7 +84,7 @@ def test_a_file_that_wants_all_memory_is_refused(tmp_path: Path) -> None:
 
 def test_a_file_that_takes_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = _write(tmp_path, "stl")
-    monkeypatch.setattr(mesh_files, "_MOST_SECONDS", 0.0)
+    monkeypatch.setattr(mesh_files, "_MAX_SECONDS", 0.0)
     with pytest.raises(DescriptionError, match="takes too much time"):
         read_meshes(path)
     monkeypatch.undo()

@@ -93,7 +93,7 @@ def test_a_file_is_written_and_read(declared: GeometricErrors, tmp_path: Path) -
     assert isinstance(yaml.safe_load(text)["classes"]["legs" if "legs" in declared.groups else "rods"], dict)
     without_zeros = tmp_path / "y.errors.yaml"
     without_zeros.write_text(error_file_text(error_entries(declared), comment="Found.", command_zeros={}))
-    copy = GeometricErrors.of(declared.robot, without_zeros)
+    copy = GeometricErrors.from_file(declared.robot, without_zeros)
     assert {p: t for p, t in zip(copy.names, copy.tolerances, strict=True)} == {
         p: t for p, t in zip(declared.names, declared.tolerances, strict=True)
     }

@@ -76,7 +76,7 @@ def test_derivatives_are_those_of_finite_differences(name: str, joints: dict[str
         )
     timed = replace(seen, times=60.0 * np.arange(4.0))
     units = tuple(command.unit for command in errors.robot.commands)
-    nuisances = Nuisances.of(timed, units)
+    nuisances = Nuisances.from_measurements(timed, units)
     assert nuisances.names[-len(joints) :] == tuple(f"encoder.{joint}" for joint in joints)
     moved = timed.derivatives(machine, nuisances.motions(timed, machine, found.commands))
     for k in range(len(nuisances)):

@@ -19,7 +19,7 @@ HEADER = "u1_m,u2_m,u3_m,x_m,y_m,z_m,qw,qx,qy,qz"
 
 @pytest.fixture(scope="module")
 def measurements(tripod_nominal: Poses) -> Measurements:
-    return Measurements.of_poses(tripod_nominal.commands[:12], tripod_nominal.transforms[:12])
+    return Measurements.from_poses(tripod_nominal.commands[:12], tripod_nominal.transforms[:12])
 
 
 @pytest.fixture

@@ -63,7 +63,7 @@ def test_times_and_directions_are_written_and_read(
 def test_derivatives_are_those_of_finite_differences(everything: Measurements, tripod_nominal: Poses) -> None:
     """Removing part of a parameter changes the residuals as its derivative says."""
     poses = tripod_nominal[:6][everything.pose_numbers]
-    nuisances = Nuisances.of(everything, ("m", "m", "m"))
+    nuisances = Nuisances.from_measurements(everything, ("m", "m", "m"))
     assert len(nuisances) == 6 + 9 + 9 + 3
     drives = tool_motions_by_drives(poses)
     rows = everything.derivatives(poses, nuisances.motions(everything, poses, drives))
@@ -100,7 +100,7 @@ def _numerical_ranks(errors: GeometricErrors, poses: Poses) -> list[int]:
 
 def test_the_rank_with_a_free_frame(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     poses = tripod_nominal[:20]
-    at_base = Measurements.of_poses(poses.commands, poses.transforms)
+    at_base = Measurements.from_poses(poses.commands, poses.transforms)
     free = replace(at_base, registration=Registration(np.eye(3), np.zeros(3), 0.0))
     ranks = [identify(measured, tripod_errors).identifiability.rank for measured in (at_base, free)]
     assert ranks == _numerical_ranks(tripod_errors, poses)
@@ -156,7 +156,7 @@ def test_drift_and_hysteresis_are_found(tripod_errors: GeometricErrors, tripod_n
     part = (times - times.min()) / np.ptp(times) - 0.5
     commands = poses.commands + 0.5 * backlash * approaches + growth * part[:, None]
     reached = tripod_errors.apply(truth).forward(commands, guess=poses.q).transforms
-    seen = replace(Measurements.of_poses(poses.commands, reached), times=times, approaches=approaches)
+    seen = replace(Measurements.from_poses(poses.commands, reached), times=times, approaches=approaches)
     noisy = seen.positions + generator.normal(0.0, 7.5e-6, (60, 3))
     found = identify(replace(seen, positions=noisy), tripod_errors)
     names = found.nuisances.names

@@ -26,13 +26,13 @@ def seen_from(base: pin.SE3, measurements: Measurements) -> Measurements:
     assert measurements.rotations is not None
     poses = np.tile(np.eye(4), (len(measurements), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = measurements.rotations, measurements.positions
-    return Measurements.of_poses(measurements.commands, base.homogeneous @ poses)
+    return Measurements.from_poses(measurements.commands, base.homogeneous @ poses)
 
 
 @pytest.fixture(scope="module")
 def described(tripod_nominal: Poses) -> Measurements:
     """A machine without errors."""
-    return Measurements.of_poses(tripod_nominal.commands[:20], tripod_nominal.transforms[:20])
+    return Measurements.from_poses(tripod_nominal.commands[:20], tripod_nominal.transforms[:20])
 
 
 def test_the_base_is_found_to_rounding(described: Measurements) -> None:

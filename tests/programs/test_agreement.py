@@ -115,7 +115,7 @@ def _shaken(program: Program, inputs: np.ndarray, parameters: np.ndarray, seed: 
 @given(PROGRAMS, st.sampled_from([1, 7, 8, 9, 33]), st.integers(0, 2**32 - 1))
 def test_machine_code(program, n, seed):
     inputs, parameters = numbers(seed, n)
-    outputs = llvm.compile(program, careful=False)(inputs, parameters)
+    outputs = llvm.compile(program, optimized=False)(inputs, parameters)
     assert_agree(outputs, program, inputs, parameters)
     assert np.array_equal(llvm.compile(program)(inputs, parameters), outputs, equal_nan=True)
 
@@ -123,9 +123,9 @@ def test_machine_code(program, n, seed):
 def test_stages_compute_the_same_bits(many_programs, monkeypatch):
     """Values of all kinds outlive a stage of three operations."""
     inputs, parameters = numbers(8, 25)
-    whole = [llvm.compile(program, careful=False)(inputs, parameters) for program in many_programs]
+    whole = [llvm.compile(program, optimized=False)(inputs, parameters) for program in many_programs]
     monkeypatch.setattr(llvm_ir, "STAGE", 3)
-    staged = [llvm.compile(program, careful=False) for program in many_programs]
+    staged = [llvm.compile(program, optimized=False) for program in many_programs]
     for compiled, expected in zip(staged, whole, strict=True):
         assert np.array_equal(compiled(inputs, parameters), expected, equal_nan=True)
     assert sum(compiled._workspace_size > 0 for compiled in staged) > 30
@@ -140,7 +140,7 @@ def test_a_long_program_needs_little_of_the_stack():
     for value in reversed(values[:-1]):
         whole = whole * value * 1e-4
     program = graph.program("long", {"values": [whole, sum(values)]})
-    compiled, results = llvm.compile(program, careful=False), []
+    compiled, results = llvm.compile(program, optimized=False), []
     before = threading.stack_size(2**19)
     try:
         thread = threading.Thread(target=lambda: results.append(compiled([[0.25], [1e-3]], threads=1)))

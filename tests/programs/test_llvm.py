@@ -111,15 +111,15 @@ def test_what_is_the_same_for_all_poses():
     assert np.allclose(values, [[5, k * 5, 4, 3, k, math.sin(4.0) - k] for k in (1, 2)], rtol=1e-15)
 
 
-@pytest.mark.parametrize("careful", [False, True])
-def test_a_sum_with_a_product_is_rounded_as_the_text_says(careful):
+@pytest.mark.parametrize("optimized", [False, True])
+def test_a_sum_with_a_product_is_rounded_as_the_text_says(optimized):
     """Fused if the processor supports it; the same with and without LLVM's optimisation."""
     graph = Graph()
     x, y, z = (graph.input(name, [0.5]) for name in "xyz")
     program = graph.program("f", {"values": [x * y + z, y * z - x, y - z * x, x * x + y * y]})
     inputs = np.random.default_rng(5).normal(size=(200, 3))
-    outputs = llvm.compile(program, careful=careful)(inputs)
-    assert np.array_equal(llvm.compile(program, careful=not careful)(inputs), outputs)
+    outputs = llvm.compile(program, optimized=optimized)(inputs)
+    assert np.array_equal(llvm.compile(program, optimized=not optimized)(inputs), outputs)
     if not llvm.target().fuses:
         assert np.array_equal(outputs, program.evaluate(inputs))
         return

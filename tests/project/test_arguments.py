@@ -45,7 +45,7 @@ def takers(mechanism: Robot, tripod_errors: GeometricErrors) -> dict[str, Callab
         "grid": lambda ends: mechanism.grid(theta_x=ends),
         "guess": lambda guess: mechanism.solve([0.0, 0.0, 0.5], guess="" if guess is None else guess),
         "stiffness": lambda q: stiffness(mechanism, q),
-        "of_poses": lambda commands: Measurements.of_poses(commands, np.eye(4)[None]),
+        "of_poses": lambda commands: Measurements.from_poses(commands, np.eye(4)[None]),
         "measure": lambda commands: machine.measure(commands, np.random.default_rng(0)),
         "values": lambda values: tripod_errors.values("" if values is None else values),
     }

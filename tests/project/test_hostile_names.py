@@ -94,7 +94,7 @@ def test_the_page_of_the_viewer() -> None:
 
 @pytest.mark.usefixtures("report_without_pictures")
 def test_the_report_of_a_calibration(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    measured = Measurements.of_poses(tripod_nominal.commands[:12], tripod_nominal.transforms[:12])
+    measured = Measurements.from_poses(tripod_nominal.commands[:12], tripod_nominal.transforms[:12])
     calibration = calibrate(measured, tripod_errors, "lm", on_refusal="keep")
     summary, pictures = calibration.summary(), calibration.pictures()
     harmless, report = (

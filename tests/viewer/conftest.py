@@ -45,8 +45,8 @@ class WatchedBrowser(Browser):
         for domain in ("Runtime", "Log", "Network"):
             self.ask(f"{domain}.enable")
 
-    def hear(self, event: dict[str, Any]) -> None:
-        super().hear(event)
+    def on_message(self, event: dict[str, Any]) -> None:
+        super().on_message(event)
         method, details = event["method"], event.get("params", {})
         if method == "Runtime.exceptionThrown":
             thrown = details["exceptionDetails"]

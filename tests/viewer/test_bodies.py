@@ -35,16 +35,16 @@ Write = Callable[..., Path]
 
 def test_shapes(write_robot: Write) -> None:
     mechanism = Robot.load(write_robot(URDF.format(mesh="")))
-    base, arm = Bodies.of(mechanism)
+    base, arm = Bodies.from_mechanism(mechanism)
     box, ball = base.parts
     (rod,) = arm.parts
-    shape = box.lowered["geometries"][0]
+    shape = box.scene_object["geometries"][0]
     assert [shape[key] for key in ("type", "width", "height", "depth")] == ["BoxGeometry", 0.2, 0.4, 0.6]
     np.testing.assert_allclose(box.placement[:3, 3], [0.0, 0.0, 1.0])
     np.testing.assert_allclose(box.colour, [0.8, 0.1, 0.2, 0.5], atol=1e-6)
-    assert box.lowered["materials"][0]["transparent"] is True
-    assert ball.lowered["geometries"][0]["radius"] == 0.1
-    shape = rod.lowered["geometries"][0]
+    assert box.scene_object["materials"][0]["transparent"] is True
+    assert ball.scene_object["geometries"][0]["radius"] == 0.1
+    shape = rod.scene_object["geometries"][0]
     assert (shape["type"], shape["radiusBottom"], shape["height"]) == ("CylinderGeometry", 0.05, 1.0)
     # three.js has cylinders along y; the URDF's z axis is rotated to x here
     np.testing.assert_allclose(rod.placement[:3, :3] @ [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], atol=1e-12)
@@ -52,7 +52,7 @@ def test_shapes(write_robot: Write) -> None:
 
 def test_placements_are_those_of_the_links(mechanism: Robot) -> None:
     where = mechanism.solve([0.2, -0.1, 0.5]).configuration()
-    placements = Bodies.of(mechanism).placements(where)
+    placements = Bodies.from_mechanism(mechanism).placements(where)
     assert len(placements) == 14
     for path, placement in placements.items():
         expected = where.frame_placement(path.removeprefix("/robot/")).homogeneous
@@ -62,7 +62,7 @@ def test_placements_are_those_of_the_links(mechanism: Robot) -> None:
 def test_the_box_around_a_mechanism(write_robot: Write) -> None:
     """Upright, the arm of length 1 reaches from z = 2 down to 1, or up to 3."""
     mechanism = Robot.load(write_robot(URDF.format(mesh="")))
-    bodies = Bodies.of(mechanism)
+    bodies = Bodies.from_mechanism(mechanism)
     np.testing.assert_allclose(
         bodies.box(mechanism.configuration([0.0])), [[-0.1, -0.2, -0.1], [1.0, 0.2, 2.05]], atol=1e-9
     )
@@ -76,7 +76,7 @@ def test_meshes_have_their_scale(write_robot: Write, tmp_path: Path, suffix: str
     file = tmp_path / f"part.{suffix}"
     trimesh.creation.box([0.1, 0.2, 0.3]).export(file)
     mechanism = Robot.load(write_robot(URDF.format(mesh=MESH.format(file=file))))
-    arm = Bodies.of(mechanism)[1]
+    arm = Bodies.from_mechanism(mechanism)[1]
     corners = arm.parts[-1].corners
     np.testing.assert_allclose(corners.min(axis=0), [0.9, -0.2, -0.3], atol=1e-6)
     np.testing.assert_allclose(corners.max(axis=0), [1.1, 0.2, 0.3], atol=1e-6)
@@ -100,7 +100,7 @@ def test_meshes_of_a_package(write_robot: Write, tmp_path: Path) -> None:
     trimesh.creation.icosphere(radius=0.1).export(tmp_path / "parts" / "meshes" / "ball.stl")
     mesh = MESH.format(file="package://parts/meshes/ball.stl")
     mechanism = Robot.load(write_robot(URDF.format(mesh=mesh)))
-    assert len(Bodies.of(mechanism)[1].parts) == 2
+    assert len(Bodies.from_mechanism(mechanism)[1].parts) == 2
 
 
 def test_packages_from_elsewhere(write_robot: Write, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -108,9 +108,9 @@ def test_packages_from_elsewhere(write_robot: Write, tmp_path_factory: pytest.Te
     (folder / "parts").mkdir()
     trimesh.creation.icosphere(radius=0.1).export(folder / "parts" / "ball.stl")
     urdf = write_robot(URDF.format(mesh=MESH.format(file="package://parts/ball.stl")))
-    assert len(Bodies.of(Robot.load(urdf, package_paths=[folder]))[1].parts) == 2
+    assert len(Bodies.from_mechanism(Robot.load(urdf, package_paths=[folder]))[1].parts) == 2
     with pytest.raises(DescriptionError, match=r"ball\.stl"):
-        Bodies.of(Robot.load(urdf), urdf)
+        Bodies.from_mechanism(Robot.load(urdf), urdf)
 
 
 def test_shapes_of_mjcf(tmp_path: Path) -> None:
@@ -119,8 +119,8 @@ def test_shapes_of_mjcf(tmp_path: Path) -> None:
         '<mujoco><worldbody><body name="arm"><joint/><geom type="capsule" size="0.1" fromto="0 0 0 0 0 1"/>'
         '<geom type="ellipsoid" size="0.1 0.2 0.3" pos="0 0 1"/></body></worldbody></mujoco>'
     )
-    (arm,) = Bodies.of(Robot.load(tmp_path / "arm.xml"))
-    kinds = [part.lowered["geometries"][0]["type"] for part in arm.parts]
+    (arm,) = Bodies.from_mechanism(Robot.load(tmp_path / "arm.xml"))
+    kinds = [part.scene_object["geometries"][0]["type"] for part in arm.parts]
     assert kinds == ["CylinderGeometry", "SphereGeometry", "SphereGeometry", "SphereGeometry"]
     np.testing.assert_allclose(sorted(part.placement[2, 3] for part in arm.parts), [0.0, 0.5, 1.0, 1.0], atol=1e-12)
     np.testing.assert_allclose(arm.parts[-1].placement[:3, :3], np.diag([0.1, 0.2, 0.3]), atol=1e-12)
@@ -130,32 +130,32 @@ def test_a_missing_mesh_is_named(write_robot: Write, tmp_path: Path, caplog: pyt
     """Downloaded files often lack their meshes: a stick figure, and a warning that says why."""
     urdf = write_robot(URDF.format(mesh=MESH.format(file=tmp_path / "gone.stl")))
     robot = Robot.load(urdf)
-    assert [body.name for body in Bodies.of(robot)] == ["universe", "turn"]
+    assert [body.name for body in Bodies.from_mechanism(robot)] == ["universe", "turn"]
     assert "gone.stl" in caplog.text
     with pytest.raises(DescriptionError, match=r"robot\.urdf: mesh '.*gone\.stl"):
-        Bodies.of(robot, urdf)
+        Bodies.from_mechanism(robot, urdf)
 
 
 def test_the_urdf_is_found_beside_either_closures_file(write_robot: Write) -> None:
     urdf = write_robot(URDF.format(mesh=""))
-    assert [body.name for body in Bodies.of(Robot.load(urdf))] == ["base", "arm"]
+    assert [body.name for body in Bodies.from_mechanism(Robot.load(urdf))] == ["base", "arm"]
     urdf.with_name("robot.closures.yaml").rename(urdf.with_name("robot.yaml"))
-    assert [body.name for body in Bodies.of(Robot.load(urdf))] == ["base", "arm"]
+    assert [body.name for body in Bodies.from_mechanism(Robot.load(urdf))] == ["base", "arm"]
 
 
 def test_visuals_from_elsewhere(write_robot: Write) -> None:
     urdf = write_robot(URDF.format(mesh=""))
     bare = Robot(pin.buildModelFromUrdf(str(urdf)))
-    assert [body.name for body in Bodies.of(bare)] == ["universe", "turn"]  # a stick figure
-    assert [body.name for body in Bodies.of(bare, urdf)] == ["base", "arm"]
+    assert [body.name for body in Bodies.from_mechanism(bare)] == ["universe", "turn"]  # a stick figure
+    assert [body.name for body in Bodies.from_mechanism(bare, urdf)] == ["base", "arm"]
     geometry = pin.buildGeomFromUrdf(bare.model, str(urdf), pin.GeometryType.VISUAL)
-    assert [body.name for body in Bodies.of(bare, geometry)] == ["base", "arm"]
+    assert [body.name for body in Bodies.from_mechanism(bare, geometry)] == ["base", "arm"]
 
 
 @pytest.mark.parametrize("robot", ["pm3dof", "hexapod", "three_rps"])
 def test_stick_figures_join_at_the_closures(robot: str) -> None:
     mechanism = Robot.load(robot)
-    bodies = Bodies.of(mechanism, pin.GeometryModel())
+    bodies = Bodies.from_mechanism(mechanism, pin.GeometryModel())
     placements = bodies.placements(mechanism.home)
     balls = {part.name: placements[body.path] @ part.placement for body in bodies for part in body.parts}
     for loop in mechanism.closures:
@@ -167,5 +167,5 @@ def test_free_joints_and_several_freedoms() -> None:
     model = pin.Model()
     float_joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "float")
     model.addJoint(float_joint, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])), "ball")
-    bodies = Bodies.of(Robot(model))
+    bodies = Bodies.from_mechanism(Robot(model))
     assert [body.name for body in bodies] == ["float", "ball"]

@@ -56,7 +56,7 @@ def test_the_transform_is_the_eigen_decomposition() -> None:
     """A unit vector along a principal axis maps to the end of that semi-axis; all others onto the quadric."""
     b = random_stiffness(4)[:3, :3]
     position = np.array([0.1, 0.2, 0.3])
-    drawn = DrawnEllipsoid.of(b, position, scale=0.01, unit="N/m")
+    drawn = DrawnEllipsoid.from_matrix(b, position, scale=0.01, unit="N/m")
     np.testing.assert_allclose(b @ drawn.axes, drawn.axes * drawn.values, atol=1e-12)
     linear = drawn.transform[:3, :3]
     np.testing.assert_allclose(linear, 0.01 * drawn.axes * drawn.values)
@@ -69,7 +69,7 @@ def test_the_transform_is_the_eigen_decomposition() -> None:
 
 def test_flat_ellipsoids_keep_their_axes() -> None:
     """A zero semi-axis is drawn paper-thin, so that the page still finds the axes."""
-    drawn = DrawnEllipsoid.of(np.diag([0.0, 1.0, 2.0]), np.zeros(3), scale=1.0, unit="")
+    drawn = DrawnEllipsoid.from_matrix(np.diag([0.0, 1.0, 2.0]), np.zeros(3), scale=1.0, unit="")
     lengths = np.linalg.norm(drawn.transform[:3, :3], axis=0)
     np.testing.assert_allclose(lengths, [2e-6, 1.0, 2.0])
 

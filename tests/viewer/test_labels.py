@@ -46,9 +46,9 @@ def test_labels_are_drawn_on_bodies(load: Callable[[str], Robot], name: str) -> 
     with Viewer(load(name)) as viewer:
         drawn: list[tuple[str, str]] = []
         original = viewer.scene.set_object
-        viewer.scene.set_object = lambda path, lowered, **options: (  # type: ignore[method-assign]
-            drawn.append((path, lowered["object"]["type"])),
-            original(path, lowered, **options),
+        viewer.scene.set_object = lambda path, scene_object, **options: (  # type: ignore[method-assign]
+            drawn.append((path, scene_object["object"]["type"])),
+            original(path, scene_object, **options),
         )[1]
         viewer.labels()
         assert len(drawn) >= 7

@@ -63,7 +63,7 @@ def test_a_listener_hears_what_comes_after_its_snapshot() -> None:
     first = scene.listen(heard.append)
     scene.set_transforms({"/x": np.eye(4), "/y": np.eye(4)})
     scene.set_panel({"title": "new"})
-    scene.forget(heard.append)
+    scene.unsubscribe(heard.append)
     scene.delete("/x")
     assert kinds(first) == [("set_object", "/before")]
     assert [kinds(message) for message in heard if "commands" in message] == [

@@ -27,7 +27,7 @@ _KINDS: dict[str, JointType] = {
     "Spherical": "spherical", "FreeFlyer": "floating", "Planar": "planar", "RUB": "continuous",
     "Unbounded": "continuous", "JointModelR": "revolute", "JointModelP": "prismatic", "JointModelH": "helical",
 }  # fmt: skip
-_MOST = 1e300  # greater limits are none
+_MAX_FINITE = 1e300  # greater limits are none
 
 
 def describe_model(model: pin.Model, closures: Iterable[LoopClosure] = ()) -> Description:
@@ -128,7 +128,7 @@ def _joint(model: pin.Model, index: int, bodies: tuple[str, str]) -> Joint:
     q, v = joint.idx_q, joint.idx_v
     limits = (model.lowerPositionLimit[q], model.upperPositionLimit[q]) if joint.nq == 1 else (-np.inf, np.inf)
     lower, upper, effort, velocity = (
-        None if abs(limit) > _MOST else float(limit)
+        None if abs(limit) > _MAX_FINITE else float(limit)
         for limit in (*limits, model.upperEffortLimit[v], model.upperVelocityLimit[v])
     )
     return Joint(
