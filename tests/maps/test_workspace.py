@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -186,3 +187,15 @@ def test_branches_end_where_the_machine_is_singular() -> None:
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["branch 0 (of home)", "branch 8"]
     with pytest.raises(InvalidValueError, match="all_branches"):
         spaces_by_branch(robot_space(robot))
+
+
+def test_loops_bound_drives_without_limits(tmp_path: Path) -> None:
+    """A five-bar whose motors turn freely: both arms, 0.25 + 0.35 m long, on pivots at x = -0.1 and 0.1 m."""
+    urdf = (MACHINES / "five_bar" / "five_bar.urdf").read_text().replace('type="revolute"', 'type="continuous"')
+    (tmp_path / "five_bar.urdf").write_text(re.sub(r"<limit[^>]*>", '<limit effort="10" velocity="1"/>', urdf))
+    closures = (MACHINES / "five_bar" / "five_bar.closures.yaml").read_text()
+    (tmp_path / "five_bar.closures.yaml").write_text(re.sub(r", range: [^}]*", "", closures))
+    found = workspace(robot_space(Robot.load(tmp_path)), directions=240)
+    np.testing.assert_allclose(found.ranges[0], [-0.5, 0.5], atol=1e-6)
+    assert found.ranges[1, 1] == pytest.approx(np.sqrt(0.6**2 - 0.1**2), abs=1e-6)
+    assert found.limit_shares["reach"] == pytest.approx(1.0)
