@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _SECTIONS, _DIRECTIONS = 121, 360  # of the tripod
 _FEW_SECTIONS, _FEW_DIRECTIONS = 31, 240  # of other robots
 _ONE_SECTION_DIRECTIONS = 1440
+_SLOW_SECTIONS = 11  # of robots whose poses take long
 
 
 def workspace(
@@ -41,7 +42,8 @@ def workspace(
     ] = None,
     values: Values = None,
     heights: Annotated[
-        int | None, typer.Option("--heights", "--sections", min=3, help="Number of sections (121; 31 with --robot).")
+        int | None,
+        typer.Option("--heights", "--sections", min=3, help="Number of sections (121; 31 with --robot, or 11)."),
     ] = None,
     directions: Annotated[
         int | None,
@@ -79,7 +81,7 @@ def workspace(
         else:
             tripod = which.tripod()
             space = tripod_space(tripod)
-        sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
+        sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS if space.density == 1.0 else _SLOW_SECTIONS)
         usual = _DIRECTIONS if tripod else _FEW_DIRECTIONS if space.stacked else _ONE_SECTION_DIRECTIONS
         try:
             spaces = spaces_by_branch(space) if all_branches else {0: space}

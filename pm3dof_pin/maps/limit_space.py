@@ -24,7 +24,8 @@ DECLARED_RANGE = "declared_range"
 _MAX_COORDINATES = 3
 _BATCH = 200_000  # poses at a time
 _AROUND = 0.02  # of a range, beyond its ends
-_SLOW = 0.25  # of the points otherwise taken along each coordinate, for robots that no program solves
+# of the points otherwise taken along each coordinate: robots that no program solves, serial arms with many solutions
+_SLOW, _OF_ARMS = 0.25, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,7 @@ def robot_space(
         broken_limits=lambda values: with_ranges(values)[0],
         box=np.array(box),
         start=home,
-        density=1.0 if robot.engine == "program" and robot.reason_without_programs() is None else _SLOW,
+        density=_density(robot),
         branches=with_ranges if all_branches else None,
     )
 
@@ -161,6 +162,12 @@ def coordinates_over(
         return rows
 
     return complete
+
+
+def _density(robot: Robot) -> float:
+    if robot.engine != "program" or robot.reason_without_programs() is not None:
+        return _SLOW
+    return 1.0 if robot.has_loops or all(c.tool is None for c in robot.coordinates) else _OF_ARMS
 
 
 def _default_names(robot: Robot) -> tuple[str, ...]:

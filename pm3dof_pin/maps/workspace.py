@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,11 +30,11 @@ _MAX_DISTANCE = 12.0  # size of the set, relative to the first box, at which it 
 _TOLERANCE = 1e-9  # of an extreme, relative to the size of the set
 _SECTION_TOLERANCE = 1e-5  # of the extremes of one section
 _PATCH = {1: 25, 2: 13}  # points along each side of the patch in which an extreme is searched, by its dimensions
+_COARSE_PATCH = {1: 7, 2: 5}  # for robots that no program solves, whose extremes are coarser too
+_COARSER = 1e4
 _HALVINGS = 7  # per patch
-_BOUNDARY_HALVINGS = 12  # of the side of a cell
+_BOUNDARY_HALVINGS, _FEW_HALVINGS = 12, 7  # of the side of a cell
 _FEWEST_DIRECTIONS = 8
-
-_Within: TypeAlias = Callable[[Array], Mask]
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +243,7 @@ def _extents(space: LimitSpace, inside: Array, cell: Array) -> tuple[Array, Arra
     starts = np.stack([inside[[np.argmin(column), np.argmax(column)]] for column in inside.T])
     d = len(cell)
     axes, sides = np.repeat(np.arange(d), 2), np.tile([-1.0, 1.0], d)
-    places = _extremes(space.within, starts.reshape(-1, d), axes, sides, np.arange(d), cell, _TOLERANCE)
+    places = _extremes(space, starts.reshape(-1, d), axes, sides, np.arange(d), cell, _TOLERANCE)
     return places[np.arange(2 * d), axes].reshape(d, 2), places.reshape(d, 2, d)
 
 
@@ -282,7 +282,13 @@ def _search(space: LimitSpace) -> tuple[Array, Array]:
 
 
 def _extremes(
-    within: _Within, starts: Array, axes: NDArray[np.intp], sides: Array, free: ArrayLike, cell: Array, tolerance: float
+    space: LimitSpace,
+    starts: Array,
+    axes: NDArray[np.intp],
+    sides: Array,
+    free: ArrayLike,
+    cell: Array,
+    tolerance: float,
 ) -> Array:
     """Move poses of a set, shape=(m, d), to its extremes near them: along one axis each, down or up.
 
@@ -292,7 +298,7 @@ def _extremes(
     """
     best, moved = starts.copy(), np.flatnonzero(np.isin(np.arange(starts.shape[1]), free))
     d = len(moved) - 1
-    side = np.linspace(-1.0, 1.0, _PATCH[d])
+    side = np.linspace(-1.0, 1.0, (_PATCH if space.density == 1.0 else _COARSE_PATCH)[d])
     square = np.stack(np.meshgrid(*[side] * d, indexing="ij"), axis=-1).reshape(-1, d)
     at_edge = np.abs(square).max(axis=1) == 1.0
     offsets = np.zeros((len(starts), len(square), starts.shape[1]))
@@ -301,7 +307,7 @@ def _extremes(
     steps = np.zeros_like(starts)
     steps[np.arange(len(starts)), axes] = sides * cell[axes]
     size = np.full(len(starts), 2.0)
-    smallest = tolerance * _SEARCH_POINTS
+    smallest = tolerance * _SEARCH_POINTS if space.density == 1.0 else min(_COARSER * tolerance * _SEARCH_POINTS, 0.05)
     while (active := np.flatnonzero(size > smallest)).size:
         patch = best[active, None] + size[active, None, None] * offsets[active]
         alive = np.ones(patch.shape[:2], dtype=bool)
@@ -310,7 +316,7 @@ def _extremes(
         for _ in range(_HALVINGS):
             owner, place = np.nonzero(alive & (high > 0.0)[:, None])
             inside = np.zeros_like(alive)
-            inside[owner, place] = within(patch[owner, place] + middle[owner, None] * steps[active][owner])
+            inside[owner, place] = space.within(patch[owner, place] + middle[owner, None] * steps[active][owner])
             farther = inside.any(axis=1)
             alive[farther] = inside[farther]
             high = np.where(farther, high, np.where(low > 0.0, middle, 0.0))
@@ -377,7 +383,7 @@ def _section_ranges(space: LimitSpace, levels: Array, lines: Sequence[Sequence[A
         starts += [points[index(points[:, axis])] for axis in (0, 1) for index in (np.argmin, np.argmax)]
     axes, sides = np.tile([0, 0, 1, 1], len(filled)), np.tile([-1.0, 1.0], 2 * len(filled))
     cell = np.append(cells[filled].max(axis=0), np.ones(len(space.names) - 2))
-    ends = _extremes(space.within, np.array(starts), axes, sides, np.arange(2), cell, _SECTION_TOLERANCE)
+    ends = _extremes(space, np.array(starts), axes, sides, np.arange(2), cell, _SECTION_TOLERANCE)
     ranges[filled] = ends[np.arange(len(ends)), axes].reshape(-1, 2, 2)
     return ranges
 
@@ -400,7 +406,8 @@ def _crossings(space: LimitSpace, node: Callable[[Array], Array], inside: Mask, 
     kept = np.zeros((len(places), 1), dtype=bool)
     kept[there, 0] = inside[tuple(index[there].T)]
     inner, outer = (node(np.where(which, low, high)) for which in (kept, ~kept))
-    for _ in range(_BOUNDARY_HALVINGS if len(inner) else 0):
+    halvings = _BOUNDARY_HALVINGS if space.density == 1.0 else _FEW_HALVINGS
+    for _ in range(halvings if len(inner) else 0):
         middle = 0.5 * (inner + outer)
         keeps = space.within(middle)[:, None]
         inner, outer = np.where(keeps, middle, inner), np.where(keeps, outer, middle)
