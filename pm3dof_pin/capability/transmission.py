@@ -237,23 +237,16 @@ def transmission(
     indices = robot.actuated_indices
     model = robot.model
     rotors = drive_values(robot, "armature", armature, np.array(model.armature)[indices])
-    inertia = np.einsum("...um,u,...un->...mn", found.values, rotors, found.values)
-    passive = np.delete(np.array(model.armature), indices)
-    if passive.any():  # armature of joints that are not driven, as files may have it
-        moving = [name for name in robot.passive_joints if model.joints[model.getJointId(name)].nv == 1]
-        others = jacobian(robot, poses, of=moving, by=names, **options).values
-        reflected = np.array(model.armature)[robot.velocity_indices(moving)]
-        other = np.einsum("...um,u,...un->...mn", others, reflected, others)
-    else:
-        other = np.zeros_like(inertia)
+    reflected = np.einsum("...um,u,...un->...mn", found.values, rotors, found.values)
+    described = np.einsum("...um,u,...un->...mn", found.values, np.array(model.armature)[indices], found.values)
     return Transmission(
         joints=names,
         drives=drives,
         poses=poses,
         jacobian=found.values,
         jacobian_derivatives=found.derivatives,
-        rotor_inertia=frozen(inertia),
-        inertia=frozen(masses.inertia + inertia + other),
+        rotor_inertia=frozen(reflected),
+        inertia=frozen(masses.inertia - described + reflected),
         weight=masses.weight,
         effort=drive_values(robot, "effort", effort, np.array(model.upperEffortLimit)[indices]),
         speed=drive_values(robot, "speed", speed, np.array(model.upperVelocityLimit)[indices]),

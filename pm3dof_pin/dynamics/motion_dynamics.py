@@ -50,8 +50,8 @@ def motion_dynamics(
 ) -> MotionDynamics:
     """Project the masses of all bodies on the motions at unit rate of each of `by`.
 
-    Rotors are not included, see :class:`~pm3dof_pin.capability.transmission.Transmission`. Idle motions, such as the
-    spin of a rod, follow freely: their momentum is zero.
+    Rotors count by the armature of their joints. Idle motions, such as the spin of a rod, follow freely: their momentum
+    is zero.
 
     Args:
         robot: the robot.

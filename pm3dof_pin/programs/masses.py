@@ -23,8 +23,9 @@ _ORIGIN = objects([0.0, 0.0, 0.0])
 
 
 def mass_numbers(model: pin.Model) -> dict[str, float]:
-    """Return gravity and the masses of a model by name."""
+    """Return gravity, the masses and the inertia of rotors of a model by name."""
     found = {f"gravity/{k}": float(entry) for k, entry in enumerate(model.gravity.linear)}
+    found |= {f"armature/{k}": float(entry) for k, entry in enumerate(model.armature)}
     for index in range(1, model.njoints):
         entries = zip(_ENTRIES, model.inertias[index].toDynamicParameters(), strict=True)
         found |= {f"mass/{model.names[index]}/{entry}": float(value) for entry, value in entries}
@@ -78,7 +79,7 @@ class Masses:
 
     @property
     def matrix(self) -> Objects:
-        """Mass matrix of the tree of bodies, shape=(nv, nv) [kg, kg m, kg m^2]."""
+        """Mass matrix of the tree of bodies and of rotors, shape=(nv, nv) [kg, kg m, kg m^2]."""
         screws, parents = self._tree.screws, self._tree.mechanism.model.parents
         matrix = zeros(len(screws), len(screws))
         for k, owner in enumerate(self._owner):
@@ -89,6 +90,8 @@ class Masses:
                 joint = parents[joint]
             for i in above:
                 matrix[i, k] = matrix[k, i] = screws[i].velocity(_ORIGIN) @ linear + screws[i].angular @ angular
+        for k in range(len(screws)):
+            matrix[k, k] = matrix[k, k] + self._numbers[f"armature/{k}"]
         return matrix
 
     def _body(self, index: int) -> _Body:

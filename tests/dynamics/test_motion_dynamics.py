@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import pm3dof_pin as pm
-from pm3dof_pin.dynamics.batch import actuator_forces
+from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices
 from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
 
 _MACHINES = Path(__file__).parents[1] / "machines"
@@ -46,3 +46,23 @@ def test_weight_by_commands_is_what_the_drives_hold() -> None:
     np.testing.assert_allclose(
         motion_dynamics(robot, poses, by="commands").weight, actuator_forces(robot, poses), atol=1e-10
     )
+
+
+def test_rotors_count_on_both_engines() -> None:
+    """The armature of a joint adds to the mass matrix what it adds to the energy: half of it times the rate squared."""
+    ankle = pm.load(_MACHINES / "ankle" / "ankle.xml", tool_frame="sole")
+    q = np.tile(ankle.solve([0.1, 0.05]).q, (1100, 1))
+    assert ankle.model.armature.max() == 0.004
+    single, many = drive_mass_matrices(ankle, q[:1])[0], drive_mass_matrices(ankle, q)[0]
+    np.testing.assert_allclose(single, many, rtol=1e-10)
+    without = ankle.replace(model=_without_rotors(ankle.model))
+    np.testing.assert_allclose(many - drive_mass_matrices(without, q)[0], 0.004 * np.eye(2), atol=1e-12)
+    found, reference = (motion_dynamics(ankle, poses, by="commands").inertia[0] for poses in (q, q[:1]))
+    np.testing.assert_allclose(found, reference, rtol=1e-10)
+    np.testing.assert_allclose(found, many, rtol=1e-10)
+
+
+def _without_rotors(model: pin.Model) -> pin.Model:
+    bare = model.copy()
+    bare.armature = np.zeros(model.nv)
+    return bare
