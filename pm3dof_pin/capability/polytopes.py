@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Matrix
 
 _PARALLEL = 1e-10  # relative length of a normal to generators that are linearly dependent
@@ -127,7 +128,9 @@ class Polytopes:
         Returns:
             Shape=(...); infinite where nothing bounds.
         """
-        along = np.einsum("...md,...d->...m", self.normals, np.asarray(directions, dtype=float))
+        given = np.asarray(directions, dtype=float)
+        along = np.einsum("...md,...d->...m", self.normals, given)
+        along = np.where(along > ROUNDING * np.linalg.norm(given, axis=-1, keepdims=True), along, 0.0)
         far = _ratio(self.offsets, along, only_positive=True).min(axis=-1)
         return np.asarray(np.where(self.contains_origin, far, np.nan))
 
