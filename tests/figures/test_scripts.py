@@ -16,7 +16,7 @@ from pm3dof_pin.calibration import workspace_errors
 from pm3dof_pin.figures import outlined_mesh, style
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
-ELSEWHERE = {"gallery", "generate_description"}
+ELSEWHERE = {"compatibility_table", "gallery", "generate_description"}
 """Those that need a browser, or that other tests run."""
 
 IN_FULL = ("figure_8_1", "figure_8_4")

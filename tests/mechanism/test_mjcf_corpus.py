@@ -304,7 +304,7 @@ def test_models_are_attached_with_their_own_settings(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         ("<equality>EQUAL", "<equality><flex/>", "<flex>: is not supported"),
-        ("<equality>EQUAL", '<equality><tendon tendon1="split"/>', "<tendon>: is not supported"),
+        ("<equality>EQUAL", '<equality><tendon tendon1="split" tendon2="split"/>', "is not supported: of two tendons"),
         ('tendon="split" ctrl', 'tendon="ghost" ctrl', "expected a fixed tendon, not 'ghost'"),
         ('tendon="split" ctrl', 'cranksite="a" slidersite="b" ctrl', "slider-crank transmissions are not supported"),
         ('<body name="a"', '<composite/><body name="a"', "<composite>: is not supported"),

@@ -229,13 +229,17 @@ def test_the_picture_it_takes(run: Run, page: Any, tmp_path: Path, monkeypatch: 
 
     from pm3dof_pin.viewer import browser
 
-    @contextmanager
-    def lent(width: int, height: int) -> Iterator[Any]:
-        page.browser.resize(width, height)
-        yield page.browser
-        page.browser.resize(800, 600)
+    class Lent(browser.Browser):
+        def __init__(self, width: int, height: int) -> None:
+            page.browser.resize(width, height)
 
-    monkeypatch.setattr(browser, "Browser", lent)
+        def __enter__(self) -> Any:
+            return page.browser
+
+        def __exit__(self, *error: object) -> None:
+            page.browser.resize(800, 600)
+
+    monkeypatch.setattr(browser, "Browser", Lent)
     result = run("--robot", "hexapod", "--picture", "picture.png", "--size", "320", "240", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert imread(tmp_path / "picture.png").shape[:2] == (240, 320)
