@@ -1,12 +1,9 @@
 """The walk that closes a pose: from a closed configuration to targets, in legs short enough to stay in its branch.
 
 The walk is one loop over two straight-line programs: a Newton step, and a *control* program that decides what happens
-next. As these decisions are selections, not branches, every printer needs only the loop::
-
-    state = start(q, targets)
-    while status > 0:
-        state, status = control(step(state), state)
-    if branch(state) != branch(q): out of reach
+next. As these decisions are selections, not branches, every printer needs only the loop: begin with ``start(q,
+targets)``, repeat ``state, status = control(step(state), state)`` while the status is positive, and call the target out
+of reach if ``branch(state)`` is not ``branch(q)``.
 
 A leg starts from the last accepted configuration, extrapolated from the two before it, and takes Newton steps until the
 loops are closed. It is accepted if no joint jumped, no system of equations is singular, and all determinants have the
