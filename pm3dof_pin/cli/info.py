@@ -25,7 +25,7 @@ from pm3dof_pin.elastic.springs import SPRING_SCHEMAS, read_springs
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, InvalidValueError, PM3DofError
 from pm3dof_pin.export.named_configurations import write_configuration
-from pm3dof_pin.kinematics.assemblies import assembled_homes
+from pm3dof_pin.kinematics.assemblies import assembled_homes, closing_trial
 from pm3dof_pin.kinematics.branches import branches_of, start_of
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.mobility import generic_configuration
@@ -319,8 +319,9 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     if still_open := {name: gap for name, gap in gaps.items() if not gap <= max(_CLOSED, robot.closure_tolerance)}:
         listed = ", ".join(f"{name} by {gap:.3g} m or rad" for name, gap in still_open.items())
         remarks.append(
-            f"loops are open at home: {listed}. They could not be closed from there, or in several ways: define a "
-            "configuration 'home' (SRDF or keyframe; pm3dof info --assemble), or check these frames and joints"
+            f"loops are open at home: {listed}. They could not be closed from there, or in several ways; "
+            f"{closing_trial(robot)}: define a configuration 'home' (SRDF or keyframe; pm3dof info --assemble), or "
+            "check these frames and joints"
         )
     elif result["home_refused"]:
         remarks.append(result["home_refused"])

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.exceptions import PM3DofError
-from pm3dof_pin.kinematics.assembly import assemble
-from pm3dof_pin.kinematics.branches import Branches, not_closed
+from pm3dof_pin.exceptions import ConvergenceError, PM3DofError
+from pm3dof_pin.kinematics.assembly import Assembly, assemble
+from pm3dof_pin.kinematics.branches import Branches
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Vector
 
-_DISTANCES = (0.1, 0.3, 1.0, 2.0)  # of random starts from home [rad, characteristic lengths]
+_DISTANCES = (0.1, 0.3, 1.0, 2.0, 3.0)  # of random starts from home [rad, characteristic lengths]
 _STARTS = 24  # at each distance
+_TRIAL_STARTS = 6  # at each distance, of a trial
+_LISTED = 6  # open loops at most in a message
 _MAX_TRIED = 8  # candidates of a branch, until one is regular
 
 
@@ -29,24 +33,57 @@ class AssembledHome:
     within_limits: bool  #: whether it breaks no limits
 
 
+@dataclass(frozen=True, eq=False)
+class ClosingTrial:
+    """What the damped solver makes of the loops of a robot from random starts around the described home."""
+
+    starts: int  #: number of random starts
+    closed: int  #: from how many of them all loops close
+    gaps: Mapping[str, float]  #: largest error of each loop where the end is nearest to closed [m, rad]
+
+    def __str__(self) -> str:
+        if self.closed:
+            return f"they close from {self.closed} of {self.starts} random starts"
+        gaps = sorted(((name, gap) for name, gap in self.gaps.items() if gap > CLOSED), key=lambda pair: -pair[1])
+        listed = ", ".join(f"{name} by {gap:.3g}" for name, gap in gaps[:_LISTED]) + " m or rad"
+        listed += f" and {len(gaps) - _LISTED} more by less" if len(gaps) > _LISTED else ""
+        return f"from {self.starts} random starts none closes: the nearest end leaves open {listed}"
+
+
+def closing_trial(robot: PlacedMechanism) -> ClosingTrial:
+    """Try to close the loops from thirty random starts, up to 3 rad or characteristic lengths away. Deterministic."""
+    return _trial(robot, list(_ends(robot, _TRIAL_STARTS)))
+
+
+def _ends(robot: PlacedMechanism, count: int) -> Iterator[Assembly]:
+    """Close the loops from random starts, so many at each distance from the described home."""
+    generator, model = np.random.default_rng(0), robot.model
+    for distance in _DISTANCES:
+        for _ in range(count):
+            motion = robot.velocity_scale * generator.uniform(-distance, distance, model.nv)
+            yield assemble(robot, pin.integrate(model, robot.described_home.q, motion))
+
+
+def _trial(robot: PlacedMechanism, ends: list[Assembly]) -> ClosingTrial:
+    nearest = min(ends, key=lambda end: end.residual).configuration
+    error = np.abs(nearest.closure_error)
+    names = [f"{closure.frame_a}-{closure.frame_b}" for closure in robot.closures]
+    names += [f"coupling of {coupling.joint}" for coupling in robot.couplings]
+    gaps = [float(error[part].max(initial=0.0)) for part in robot.loop_kinematics.rows]
+    return ClosingTrial(len(ends), sum(end.converged for end in ends), dict(zip(names, gaps, strict=False)))
+
+
 def assembled_homes(robot: PlacedMechanism) -> list[AssembledHome]:
     """Find closed regular configurations near the described home, the nearest on each branch found, nearest first.
 
-    Random starts up to 2 rad or characteristic lengths away are closed by the damped solver; those within all limits
+    Random starts up to 3 rad or characteristic lengths away are closed by the damped solver; those within all limits
     are preferred. There may be further branches, farther away. Deterministic.
 
     Raises:
-        ConvergenceError: no closed regular configuration was found.
+        ConvergenceError: no closed regular configuration was found; the message says which loops stay open.
     """
-    described, generator, model = robot.described_home, np.random.default_rng(0), robot.model
-    found: list[AssembledHome] = []
-    result = assemble(robot, described)
-    for distance in _DISTANCES:
-        for _ in range(_STARTS):
-            motion = robot.velocity_scale * generator.uniform(-distance, distance, model.nv)
-            result = assemble(robot, pin.integrate(model, described.q, motion))
-            if result.converged:
-                found.append(_candidate(robot, described, result.configuration))
+    described, ends = robot.described_home, list(_ends(robot, _STARTS))
+    found = [_candidate(robot, described, end.configuration) for end in ends if end.converged]
     found.sort(key=lambda home: (not home.within_limits, home.distance))
     branches: Branches | None = None
     chosen: dict[int, AssembledHome] = {}
@@ -63,7 +100,10 @@ def assembled_homes(robot: PlacedMechanism) -> list[AssembledHome]:
         if branches is not None:
             tried[number] = tried.get(number, 0) + 1
     if not chosen:
-        raise not_closed(robot, result)
+        nearest = min(ends, key=lambda end: end.residual)
+        advice = "all of these are singular poses" if found else str(_trial(robot, ends))
+        task = f"{robot.name}: closing the loops"
+        raise ConvergenceError(task, nearest.residual, "m or rad", nearest.steps, advice)
     return sorted(chosen.values(), key=lambda home: home.distance)
 
 

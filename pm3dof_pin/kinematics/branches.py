@@ -287,7 +287,9 @@ def _closed_nearby(
 
 
 def not_closed(robot: PlacedMechanism, result: Assembly) -> ConvergenceError:
-    """Return the error about loops that are open at home."""
+    """Return the error about loops that are open at home: no way to close them was found, or several."""
     advice = "pm3dof info names the loops that are open; define a configuration 'home' (pm3dof info --assemble)"
-    task = f"{robot.name}: closing the loops at home"
-    return ConvergenceError(task, result.residual, "m or rad", result.steps, advice)
+    task, residual = f"{robot.name}: closing the loops at home", result.residual
+    if result.converged:
+        task, residual = f"{task} in one way only", robot.home.closure_residual
+    return ConvergenceError(task, residual, "m or rad", result.steps, advice)

@@ -26,10 +26,10 @@ class Mobility:
     """
 
     count: int  #: number of degrees of freedom, nv - rank G
-    tool_mobility: int  #: number of independent twists of the tool
+    tool_mobility: int  #: number of independent twists of the tool; 0 without a tool frame
     redundant_constraints: int  #: number of dependent rows of G
     #: basis of the degrees of freedom that leave actuated joints and tool at rest, such as the spin of a link about its
-    #: own axis, shape=(nv, k)
+    #: own axis, shape=(nv, k); without a tool frame, those that leave the actuated joints at rest
     idle_motions: Matrix
     constraint_rank: RankDecision  #: the rank decision on G
     actuator_rank: RankDecision  #: the rank decision on the actuated joints' rates
@@ -40,6 +40,8 @@ class Mobility:
 def instantaneous_mobility(configuration: Configuration) -> Mobility:
     """Count the degrees of freedom of an assembled configuration.
 
+    Without a tool frame, the mechanism's own are counted alone, and no twists of a tool.
+
     Example:
         >>> import pm3dof_pin as pm
         >>> mobility = pm.instantaneous_mobility(pm.load("three_rps").home)
@@ -47,19 +49,21 @@ def instantaneous_mobility(configuration: Configuration) -> Mobility:
         (3, 15)
 
     Raises:
-        DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.
     """
     dof = DegreesOfFreedom(configuration)
+    has_tool = configuration.mechanism.tool_frame is not None
+    at_tool = dof.at_tool if has_tool else dof.over(np.zeros((0, len(dof.scale))))
+    idle = dof.idle if has_tool else dof.at_actuators
     return Mobility(
         count=dof.count,
-        tool_mobility=dof.at_tool.rank.rank,
+        tool_mobility=at_tool.rank.rank,
         redundant_constraints=len(configuration.closure_error) - dof.constraint_rank.rank,
-        idle_motions=frozen(dof.scale[:, None] * dof.idle.motions),
+        idle_motions=frozen(dof.scale[:, None] * idle.motions),
         constraint_rank=dof.constraint_rank,
         actuator_rank=dof.at_actuators.rank,
-        tool_rank=dof.at_tool.rank,
-        idle_rank=dof.idle.rank,
+        tool_rank=at_tool.rank,
+        idle_rank=idle.rank,
     )
 
 

@@ -358,7 +358,7 @@ class Robot(PlacedMechanism):
         """Return the robot with springs at its drives, in place of joint springs that these have in the description.
 
         Such a spring is the drive with its transmission, as felt at the actuated joint. Drives without a spring are
-        rigid.
+        rigid. If the description names no actuated joints, as SDF cannot, those with a given stiffness are.
 
         Example:
             >>> import pm3dof_pin as pm
@@ -371,10 +371,15 @@ class Robot(PlacedMechanism):
 
         Raises:
             InvalidValueError: a stiffness is not a positive number, or a joint is not actuated.
-            DescriptionError: the robot has no actuated joints.
+            JointNotFoundError: the robot has no actuated joints, and no such joint.
+            DescriptionError: the robot has no actuated joints, and none are named.
         """
         if not self.actuated_joints:
-            raise DescriptionError(self.source, "actuated joints", "there are none to give a drive stiffness to")
+            if not isinstance(stiffness, Mapping):
+                advice = "there are none to give a drive stiffness to: name them, --drive-stiffness JOINT=K,.. "
+                advice += "(drive_stiffness={...}), or as name_mot in a closures file"
+                raise DescriptionError(self.source, "actuated joints", advice)
+            return self.replace(actuated_joints=tuple(stiffness)).with_drive_stiffness(stiffness)
         given = stiffness if isinstance(stiffness, Mapping) else dict.fromkeys(self.actuated_joints, stiffness)
         springs = []
         for name, value in given.items():

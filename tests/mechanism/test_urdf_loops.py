@@ -11,8 +11,10 @@ import pytest
 
 from pm3dof_pin.description.readers.urdf import read_urdf
 from pm3dof_pin.description.xml_file import read_xml
-from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.exceptions import DescriptionError, JointNotFoundError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
+from pm3dof_pin.kinematics.mobility import instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
 
 Writer = Callable[..., Path]
@@ -39,6 +41,8 @@ LOOPS = {
     "</constraint>",
     "loop_joint": '<loop_joint name="l" type="spherical"><link1 link="coupler" xyz="0.4 0 0" rpy="0 0 0"/>'
     '<link2 link="rocker" xyz="0 0.3 0" rpy="0 0 0"/></loop_joint>',
+    "loop_joint of Isaac Sim's manual": '<loop_joint name="l" type="spherical"><link1 link="coupler" xyz="0.4 0 0"/>'
+    '<link1 link="rocker" xyz="0 0.3 0"/></loop_joint>',
     "Drake": '<drake:ball_constraint><drake:ball_constraint_body_A name="coupler"/>'
     '<drake:ball_constraint_body_B name="rocker"/><drake:ball_constraint_p_AP value="0.4 0 0"/>'
     '<drake:ball_constraint_p_BQ value="0 0.3 0"/></drake:ball_constraint>',
@@ -50,7 +54,7 @@ LOOPS = {
 @pytest.mark.parametrize("dialect", LOOPS)
 def test_a_four_bar_has_one_degree_of_freedom(write_robot: Writer, dialect: str) -> None:
     robot = Robot.load(write_robot(FOUR_BAR.format(LOOPS[dialect]), "{}\n"))
-    assert [loop.type for loop in robot.closures] == ["3d" if dialect in ("loop_joint", "Drake") else "hinge"]
+    assert [loop.type for loop in robot.closures] == ["3d" if dialect.startswith(("loop_joint", "Drake")) else "hinge"]
     assert robot.home.closure_residual < 1e-15
     assert DegreesOfFreedom(robot.home).count == 1
     assert robot.actuated_joints == ("j1",)
@@ -62,8 +66,35 @@ def test_a_four_bar_has_one_degree_of_freedom(write_robot: Writer, dialect: str)
 def test_independent_is_the_default_beside_joints_that_are_not(write_robot: Writer) -> None:
     text = FOUR_BAR.format(LOOPS["URDF+"]).replace('independent="true"', "")
     assert Robot.load(write_robot(text, "{}\n")).actuated_joints == ("j1",)
+    without_loop = text.replace(LOOPS["URDF+"], "")  # as if a program closed it
+    assert Robot.load(write_robot(without_loop, "{}\n")).actuated_joints == ("j1",)
     text = text.replace('independent="false"', "").replace('independent="False"', "")
     assert Robot.load(write_robot(text, "{}\n")).actuated_joints == ()
+
+
+def test_a_loop_without_drives_has_those_whose_stiffness_is_given(write_robot: Writer) -> None:
+    """A crank of 0.3 m with 1e5 N m/rad gives the coupler of a parallelogram 1e5 / 0.3^2 N/m along its circle."""
+    text = FOUR_BAR.format(LOOPS["URDF+"])
+    for value in ("true", "false", "False"):
+        text = text.replace(f'independent="{value}"', "")
+    path = write_robot(text, "{}\n")
+    with pytest.raises(DescriptionError, match="--drive-stiffness JOINT=K"):
+        Robot.load(path, tool_frame="coupler", drive_stiffness=1e5)
+    with pytest.raises(JointNotFoundError, match="no joint 'j9'"):
+        Robot.load(path, tool_frame="coupler", drive_stiffness={"j9": 1e5})
+    robot = Robot.load(path, tool_frame="coupler", drive_stiffness={"j1": 1e5})
+    expected = np.zeros((6, 6))
+    expected[0, 0] = 0.3**2 / 1e5
+    np.testing.assert_allclose(compliance(robot, robot.home), expected, rtol=1e-9, atol=1e-18)
+
+
+def test_mobility_needs_no_tool(write_robot: Writer) -> None:
+    path = write_robot(FOUR_BAR.format(LOOPS["URDF+"]), "{}\n")
+    robot, at_tool = Robot.load(path), Robot.load(path, tool_frame="coupler")
+    without, given = instantaneous_mobility(robot.home), instantaneous_mobility(at_tool.home)
+    assert (without.count, without.tool_mobility, given.count, given.tool_mobility) == (1, 0, 1, 1)
+    assert without.redundant_constraints == given.redundant_constraints == 3
+    assert without.idle_motions.shape == (3, 0)
 
 
 def test_every_closure_knows_its_line(write_robot: Writer) -> None:

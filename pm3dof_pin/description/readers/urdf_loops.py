@@ -75,7 +75,7 @@ class UrdfLoops:
             frames=tuple(self.frames),
             closures=tuple(self.closures),
             couplings=tuple(self.couplings),
-            actuated_joints=tuple(dict.fromkeys(driven)) if is_closed else (),
+            actuated_joints=tuple(dict.fromkeys(driven)) if is_closed or independent else (),
         )
 
     def _independent(self, root: Element) -> list[str]:
@@ -107,7 +107,7 @@ class UrdfLoops:
         )
 
     def _loop_joint(self, element: Element) -> None:
-        ends = children(element, "link1", "link2")
+        ends = children(element, "link1", "link2")  # or two <link1>, as in Isaac Sim's manual
         if len(ends) != 2:
             raise element.origin.error(named(element), "expected <link1> and <link2> in it")
         zero = (0.0, 0.0, 0.0)

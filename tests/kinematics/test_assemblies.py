@@ -1,0 +1,60 @@
+"""Homes found from random starts, where the described one cannot be closed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pm3dof_pin.exceptions import ConvergenceError
+from pm3dof_pin.kinematics.assemblies import assembled_homes, closing_trial
+from pm3dof_pin.kinematics.robot import Robot
+
+_JOINT = (
+    '<link name="{1}"/><joint name="{1}_joint" type="continuous"><parent link="{0}"/><child link="{1}"/>'
+    '<origin xyz="{2} 0 0"/><axis xyz="0 0 1"/></joint>'
+)
+
+
+def _two_arms(folder: Path, base: float) -> Path:
+    """Write two arms of two bars of 1 m each, all along x at zero, that are to meet at their ends."""
+    arms = _JOINT.format("base", "a1", 0) + _JOINT.format("a1", "a2", 1)
+    arms += _JOINT.format("base", "b1", base) + _JOINT.format("b1", "b2", 1)
+    ends = '<predecessor link="a2"><origin xyz="1 0 0"/></predecessor><successor link="b2"><origin xyz="1 0 0"/>'
+    loop = f'<loop name="tip" type="revolute">{ends}</successor><axis xyz="0 0 1"/></loop>'
+    path = folder / "arms.urdf"
+    path.write_text(f'<robot name="arms"><link name="base"/>{arms}{loop}</robot>')
+    return path
+
+
+def test_a_stretched_home_closes_from_random_starts(tmp_path: Path, answer: Callable[..., Any], run: Any) -> None:
+    """All bars point along the gap, so that no bar moves its end along it: the zero pose stays open by 0.5 m."""
+    path = _two_arms(tmp_path, 0.5)
+    robot = Robot.load(path)
+    assert robot.home.closure_residual == pytest.approx(0.5)
+    trial = closing_trial(robot)
+    assert (trial.starts, trial.closed) == (30, 30)
+    assert "they close from 30 of 30 random starts" in run("info", str(path)).stdout
+    homes = assembled_homes(robot)
+    assert all(home.configuration.closure_residual < 1e-9 for home in homes)
+    answer("info", str(path), "--assemble", "--branch", "1")
+    # five hinges about parallel axes and one loop: 5 - 3 degrees of freedom, less the hinge that is the closure
+    assert answer("info", str(path))["mobility"] == 4 - 2
+
+
+def test_what_cannot_close_says_by_how_much(tmp_path: Path, run: Any) -> None:
+    """Four bars of 1 m between pivots 5 m apart leave at least 1 m open."""
+    path = _two_arms(tmp_path, 5.0)
+    trial = closing_trial(Robot.load(path))
+    assert trial.closed == 0
+    (gap,) = trial.gaps.values()
+    assert gap == pytest.approx(1.0, rel=1e-6)
+    assert "from 30 random starts none closes: the nearest end leaves open tip_a-tip_b by 1 m or rad" in str(trial)
+    with pytest.raises(ConvergenceError, match=r"from 120 random starts none closes.*tip_a-tip_b by 1 m"):
+        assembled_homes(Robot.load(path))
+    assert str(trial) in run("info", str(path)).stdout
+    done = run("fk", "--robot", str(path), "--configuration", "home", "--tool-frame", "a2")
+    assert done.returncode == 1
+    assert "--assemble" in done.stderr
