@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-def columns(transmission: Transmission) -> dict[str, Array]:
+def _columns(transmission: Transmission) -> dict[str, Array]:
     """Return the table of a transmission: a column for each number, shape=(n,), named with its unit."""
     joints, drives = transmission.joints, transmission.drives
     robot = transmission.poses.robot
@@ -43,7 +43,7 @@ def columns(transmission: Transmission) -> dict[str, Array]:
     return found
 
 
-def dataset(transmission: Transmission) -> xr.Dataset:
+def _dataset(transmission: Transmission) -> xr.Dataset:
     """Return the table as labelled arrays over the joints."""
     import xarray as xr
 
@@ -56,7 +56,7 @@ def dataset(transmission: Transmission) -> xr.Dataset:
         axes[joint] = np.nanmean(values[..., k], axis=others)
     arrays = {
         name.replace(" ", "_"): (joints, column.reshape(shape))
-        for name, column in columns(transmission).items()
+        for name, column in _columns(transmission).items()
         if name.rsplit("_", 1)[0] not in joints
     }
     return xr.Dataset(arrays, coords=axes, attrs={"robot": transmission.poses.robot.name})
@@ -65,8 +65,8 @@ def dataset(transmission: Transmission) -> xr.Dataset:
 def write_tables(transmission: Transmission, folder: Path) -> list[Path]:
     """Write `transmission.csv` and `transmission.nc`; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    sheet = write_text_atomically(folder / "transmission.csv", columns_text(columns(transmission)))
+    sheet = write_text_atomically(folder / "transmission.csv", columns_text(_columns(transmission)))
     labelled = folder / "transmission.nc"
     with write_atomically(labelled) as path:
-        dataset(transmission).to_netcdf(path)
+        _dataset(transmission).to_netcdf(path)
     return [sheet, labelled]

@@ -35,7 +35,7 @@ def urdf_files(description: Description, *, floating: bool = True, own_meshes: b
     files, errors = description.files, {}
     if files is not None and files.errors.is_file():
         errors[".errors.yaml"] = files.errors.read_text(encoding="utf-8")
-    if files is not None and is_plain_urdf(description, floating=floating):
+    if files is not None and _is_plain_urdf(description, floating=floating):
         paths = {CLOSURES_SUFFIX: files.closures, ".srdf": files.srdf}
         others = {key: path.read_text(encoding="utf-8") for key, path in paths.items() if path is not None}
         return {".urdf": files.tree_text(), **others, **errors}
@@ -49,7 +49,7 @@ def urdf_files(description: Description, *, floating: bool = True, own_meshes: b
     }
 
 
-def is_plain_urdf(description: Description, *, floating: bool = True) -> bool:
+def _is_plain_urdf(description: Description, *, floating: bool = True) -> bool:
     """Return whether a description is that of its URDF file, all of whose joints can stay."""
     if description.files is None or description.files.format != "urdf":
         return False

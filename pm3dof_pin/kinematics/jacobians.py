@@ -322,7 +322,7 @@ def _evaluated(
     def trace() -> Program:
         poses = samples_near_home(robot)
         verify(robot, poses)
-        return jacobian_program(robot, of, by, poses, with_derivatives=with_derivatives)
+        return _jacobian_program(robot, of, by, poses, with_derivatives=with_derivatives)
 
     key = repr(
         (
@@ -342,7 +342,7 @@ def _frames(robot: Robot, *rates: Sequence[Rate]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(_frame(robot, rate) for group in rates for rate in group if rate.joint is None))
 
 
-def jacobian_program(
+def _jacobian_program(
     robot: Robot, of: Sequence[Rate], by: Sequence[Rate], poses: Matrix, *, with_derivatives: bool = False
 ) -> Program:
     """Record a Jacobian; outputs `values`, flat, and `sound`, 1 if the loops are closed and nothing is in doubt.

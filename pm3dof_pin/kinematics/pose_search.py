@@ -95,7 +95,7 @@ def waypoint_lattice(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...]
     return Grid(coordinates, axes, {})
 
 
-def nearest_poses(
+def _nearest_poses(
     robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], values: Matrix, q: Matrix, targets: Matrix
 ) -> Matrix:
     """Return the pose q whose coordinates are nearest to each target, shape=(n, nq); NaN if there is none."""
@@ -127,7 +127,7 @@ def _further_starts(
     have holes, which walks must go around.
     """
     if robot.has_loops:
-        yield nearest_poses(robot, coordinates, *solver.lattice, targets)
+        yield _nearest_poses(robot, coordinates, *solver.lattice, targets)
     elif any(coordinate.tool is not None for coordinate in coordinates):
         shape = (_FURTHER_STARTS, robot.model.nv)
         for motion in np.random.default_rng(0).uniform(-np.pi, np.pi, shape) * robot.velocity_scale:

@@ -44,7 +44,7 @@ def read_source(
     if isinstance(source, (str, Path)):
         if closures := tuple(closures):
             raise InvalidValueError("closures", problem="are for a pinocchio.Model; those of a file stand in it")
-        return read_description(find_robot(source, package_paths, xacro_args), tool_frame, lenient=lenient)
+        return _read_description(find_robot(source, package_paths, xacro_args), tool_frame, lenient=lenient)
     if given := [name for name, value in (("package_paths", package_paths), ("xacro_args", xacro_args)) if value]:
         problem = f"are for descriptions in files, not for a {type(source).__name__}"
         raise InvalidValueError(given[0], problem=problem)
@@ -81,7 +81,7 @@ def _path_of_module(module: ModuleType) -> Path:
     raise InvalidValueError("robot", problem=f"module {module.__name__} has no URDF_PATH or MJCF_PATH")
 
 
-def read_description(files: RobotFiles, tool_frame: str | None = None, *, lenient: bool = False) -> dict[str, Any]:
+def _read_description(files: RobotFiles, tool_frame: str | None = None, *, lenient: bool = False) -> dict[str, Any]:
     """Read all files of a robot into the arguments of :class:`~pm3dof_pin.mechanism.mechanism.Mechanism`.
 
     `tool_frame` replaces the tool frame of the description if given. Raises as

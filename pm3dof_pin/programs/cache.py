@@ -107,7 +107,7 @@ def _code_name(program: Program | Walk, *, optimized: bool) -> str:
     return _name("compiled", *key)
 
 
-def folder() -> Path | None:
+def _folder() -> Path | None:
     """Return the cache folder, created if missing; None if it is unavailable."""
     path = _wanted_folder()
     if path is None:
@@ -164,7 +164,7 @@ def _source_files(directory: str) -> Iterator[str]:
 
 def _read(name: str) -> bytes | None:
     """Return an entry, or None if it is missing or damaged."""
-    place = folder()
+    place = _folder()
     if place is None:
         return None
     path = place / name
@@ -183,7 +183,7 @@ def _read(name: str) -> bytes | None:
 def _keep(name: str, content: bytes) -> None:
     """Write an entry if possible, and make room once much has been written."""
     global _unmeasured
-    place = folder()
+    place = _folder()
     if place is None:
         return
     try:

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.description.simple_joints import NEGLIGIBLE_MASS
-from pm3dof_pin.description.urdf_files import is_plain_urdf, urdf_files
+from pm3dof_pin.description.urdf_files import _is_plain_urdf, urdf_files
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -86,7 +86,7 @@ def test_what_is_beside_the_tree_is_the_same(leg: Robot, tmp_path: Path) -> None
 
 
 def test_a_plain_urdf_stays_as_it_is(mechanism: Robot) -> None:
-    assert is_plain_urdf(mechanism.description)
+    assert _is_plain_urdf(mechanism.description)
     assert mechanism.files is not None
     assert urdf_files(mechanism.description)[".urdf"] == mechanism.files.urdf.read_text(encoding="utf-8")
 
@@ -101,7 +101,7 @@ def test_universal_joints_become_two_hinges(tmp_path: Path) -> None:
     )
     (tmp_path / "robot.yaml").write_text("joint_name: [knee]\njoint_type: [UJOINT_ZX]\nname_mot: [knee_Z]\n")
     robot = Robot.load(tmp_path)
-    assert not is_plain_urdf(robot.description)
+    assert not _is_plain_urdf(robot.description)
     urdf = written(robot, tmp_path)
     plain = Robot.load(urdf)
     assert plain.q_names == ("knee_Z", "knee_X")

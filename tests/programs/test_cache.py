@@ -183,11 +183,11 @@ def test_somebody_elses_folder_is_not_used(folder, monkeypatch, compilations):
 def test_place_of_the_folder(monkeypatch, tmp_path):
     monkeypatch.delenv("PM3DOF_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "shared"))
-    assert cache.folder() == tmp_path / "shared" / "pm3dof-pin"
+    assert cache._folder() == tmp_path / "shared" / "pm3dof-pin"
     monkeypatch.setenv("XDG_CACHE_HOME", "")
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr(sys, "platform", "linux")
-    assert cache.folder() == tmp_path / ".cache" / "pm3dof-pin"
+    assert cache._folder() == tmp_path / ".cache" / "pm3dof-pin"
 
 
 def test_another_process_loads_the_same_bits(folder):
