@@ -3,21 +3,35 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.error_budget import budget_lines, map_budget
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.map_options import EngineOption, Over, Values, robot_grid
 from pm3dof_pin.cli.options import Json, Out, RobotErrorsOptions, Wrench
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
-from pm3dof_pin.cli.pictures import Formats, remove_former, save
+from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.poses import in_words, with_units
 
 if TYPE_CHECKING:
     from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare
+    from pm3dof_pin.errors.source_errors import ErrorSources
+    from pm3dof_pin.kinematics.grid import Grid
+    from pm3dof_pin.kinematics.robot import Poses
+
+_CLASSES = {
+    "kinematic parameters": "quasi-static: kinematic parameters",
+    "thermal": "quasi-static: thermal",
+    "stiffness": "quasi-static: stiffness",
+    "drives": "quasi-static: clearance, drives",
+    "vibration": "vibration",
+    "all": "all",
+}
+"""The words of Table 8.4."""
 
 PICTURES = {
     "error_map_tip.png": "tip_rms",
@@ -161,7 +175,7 @@ def error_map(
             from pm3dof_pin.errors.source_errors import ErrorSources
 
             sources = ErrorSources(errors, wrench=wrench, rise=rise, large=large, distribution=distribution)
-            found, written = map_budget(
+            found, written = _map_budget(
                 sources, mapped.poses if grid is None else grid, source or [], eta, out, formats if pictures else []
             )
             files += written
@@ -256,7 +270,7 @@ def _lines(result: dict[str, Any], place: str) -> list[str]:
     if "allocation" in result:
         lines += ["", *_allocation_lines(result["allocation"])]
     if "budget" in result:
-        lines += ["", *budget_lines(result)]
+        lines += ["", *_budget_lines(result)]
     return lines
 
 
@@ -277,3 +291,74 @@ def _allocation_lines(allocation: dict[str, Any]) -> list[str]:
         "commands corrected",
     ]
     return table_lines(header, rows)
+
+
+def _map_budget(
+    sources: ErrorSources,
+    grid_or_poses: Grid | Poses,
+    names: Sequence[str],
+    eta: float,
+    out: Path,
+    formats: list[PictureFormat] | None,
+) -> tuple[dict[str, Any], list[Path]]:
+    """Compute the error budget on a grid or at poses, of all or the named sources; write its maps and draw them.
+
+    Returns the entries for the command's result, and the files written. With no formats, nothing is drawn.
+    """
+    import numpy as np
+
+    from pm3dof_pin.errors.error_budget import budget_as_data
+    from pm3dof_pin.maps.datasets import write_map
+    from pm3dof_pin.maps.grid_map import LEAST_SENSITIVE, budget_map
+    from pm3dof_pin.measuring.measurement_file import write_plan
+
+    dataset, budget = budget_map(sources, grid_or_poses, eta=eta, names=names)
+    files = write_map(dataset, out / "error_budget")
+    least = np.flatnonzero(budget.least_sensitive())
+    region = budget.poses[least]
+    files.append(write_plan(region, out / "least_sensitive.csv"))
+    if formats != [] and dataset["tip_rms"].ndim in (2, 3) and LEAST_SENSITIVE in dataset:
+        from pm3dof_pin.figures.least_sensitive_region import least_sensitive_region
+        from pm3dof_pin.maps.limit_space import limits_over
+
+        figure = least_sensitive_region(dataset, partial(limits_over, sources.robot))
+        files += save(figure, out / "least_sensitive_region.png", formats)
+    ends = {
+        f"{coordinate.name}_{coordinate.unit}": [float(column.min()), float(np.median(column)), float(column.max())]
+        for coordinate, column in zip(sources.robot.coordinates, region.coordinates.T, strict=True)
+    }
+    tip = budget.tip_rms
+    return {
+        "budget": budget_as_data(budget.lines()),
+        "wrench_N_Nm": sources.wrench.tolist(),
+        "rise_K": sources.rise,
+        "least_sensitive": {
+            "poses": len(region),
+            "tip_rms_m": {"least": float(tip.min()), "most": float(tip[least].max()), "elsewhere": float(tip.max())},
+            "least_median_greatest": ends,
+        },
+    }, files
+
+
+def _budget_lines(result: dict[str, Any]) -> list[str]:
+    """Return the result of `_map_budget` as a table, in the words of Table 8.4."""
+    columns = ("tip_rms_m", "greatest_tip_rms_m", "worst_tip_m", "left_m", "energy_m")
+    rows, last = [], ""
+    for line in result["budget"]:
+        group = _CLASSES[line["error_class"]]
+        numbers = [f"{1e6 * line[name]:.2f}" for name in columns]
+        rows.append([group if group != last else "", line["long_name"], *numbers, f"{line['share']:.1%}"])
+        last = group
+    header = ["Table 8.4", "source [µm]", "tip, rms", "worst pose", "bound", "left", "E", "share"]
+    least, ends = result["least_sensitive"], result["least_sensitive"]["least_median_greatest"]
+    tip = least["tip_rms_m"]
+    medians = []
+    for heading, (_, median, _) in ends.items():
+        name, unit = heading.rsplit("_", 1)
+        medians.append(in_words(name, unit, median, ".4f" if unit == "m" else ".1f"))
+    lines = table_lines(header, rows, words=2)
+    lines.append(
+        f"least sensitive fifth: {1e6 * tip['least']:.1f} to {1e6 * tip['most']:.1f} µm, elsewhere up to "
+        f"{1e6 * tip['elsewhere']:.1f} µm; medians: {', '.join(medians)}"
+    )
+    return lines

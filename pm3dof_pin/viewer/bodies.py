@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import assert_never
 
@@ -12,14 +13,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.description.description import Shape
-from pm3dof_pin.description.mesh_files import read_meshes
+from pm3dof_pin.description.description import Description, Placement, Shape, ShapeKind
+from pm3dof_pin.description.mesh_files import find_mesh, read_meshes
 from pm3dof_pin.description.reading import read_description
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.mechanism.visuals import Visual, read_visuals, visuals_of_geometry
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.objects import Colour
@@ -85,7 +85,7 @@ class Bodies(tuple[Body, ...]):
             DescriptionError: a file given as `visuals` is unreadable, or one of its meshes is missing.
         """
         if isinstance(visuals, pin.GeometryModel):
-            shapes = list(visuals_of_geometry(mechanism.model, visuals))
+            shapes = list(_visuals_of_geometry(mechanism.model, visuals))
         else:
             shapes = _visuals(mechanism, visuals)
         if shapes:
@@ -125,17 +125,17 @@ def joint_placements(configuration: Configuration) -> list[Array]:
     return [np.array(placement.homogeneous) for placement in data.oMi]
 
 
-def _visuals(mechanism: Mechanism, urdf: Path | str | None) -> list[Visual]:
+def _visuals(mechanism: Mechanism, urdf: Path | str | None) -> list[_Visual]:
     if urdf is not None:
-        return read_visuals(read_description(find_robot(urdf)))
+        return _read_visuals(read_description(find_robot(urdf)))
     try:
-        return read_visuals(mechanism.description)
+        return _read_visuals(mechanism.description)
     except DescriptionError as error:
         _logger.warning("%s: drawn as a stick figure; give the folders of packages with --package-path", error)
         return []
 
 
-def _drawn_bodies(mechanism: Mechanism, visuals: list[Visual]) -> tuple[Body, ...]:
+def _drawn_bodies(mechanism: Mechanism, visuals: list[_Visual]) -> tuple[Body, ...]:
     bodies: dict[str, Body] = {}
     for visual in visuals:
         if visual.body not in bodies:
@@ -182,7 +182,7 @@ def _part(shape: Shape, placement: Array) -> list[BodyPart]:
     ]
 
 
-def _mesh_parts(visual: Visual, placement: Array) -> list[BodyPart]:
+def _mesh_parts(visual: _Visual, placement: Array) -> list[BodyPart]:
     """Return the meshes of a file, in their own colours unless the description gives one."""
     shape, parts = visual.shape, []
     assert visual.path is not None
@@ -266,3 +266,61 @@ def _ball(name: str, middle: Array, radius: float, colour: Colour) -> BodyPart:
     scene_object = objects.mesh(objects.sphere(radius), colour)
     corners = middle + radius * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
     return BodyPart(name, scene_object, objects.transform(translation=middle), (*colour, 1.0), corners)
+
+
+@dataclass(frozen=True)
+class _Visual:
+    """A shape on a body; `path` is the file of a mesh."""
+
+    body: str
+    shape: Shape
+    path: Path | None = None
+
+
+def _read_visuals(description: Description) -> list[_Visual]:
+    """Return the visual shapes of a robot, with the files of its meshes.
+
+    Shapes without a name get that of their body with a number.
+
+    Raises:
+        DescriptionError: a mesh is missing, or lies outside the folders of the robot, see
+            :func:`~pm3dof_pin.description.mesh_files.find_mesh`.
+    """
+    visuals = []
+    for body in description.bodies:
+        for number, shape in enumerate(body.visuals):
+            path = None
+            if shape.kind == "mesh":
+                if description.files is None:
+                    raise DescriptionError(description.name, f"mesh '{shape.mesh}'", "expected the robot's files")
+                path = find_mesh(description.files, shape.mesh)
+            visuals.append(_Visual(body.name, replace(shape, name=f"{body.name}_{number}"), path))
+    return visuals
+
+
+def _visuals_of_geometry(model: pin.Model, geometry: pin.GeometryModel) -> Iterator[_Visual]:
+    """Yield the shapes of a geometry model of Pinocchio that can be described."""
+    for shape in geometry.geometryObjects:
+        frame = model.frames[shape.parentFrame]
+        placement = Placement.from_se3(frame.placement.actInv(shape.placement))
+        solid, kind = shape.geometry, type(shape.geometry).__name__
+        colour = tuple(float(part) for part in shape.meshColor)
+        described: Shape | None = None
+        if hasattr(solid, "num_tris"):
+            scale = tuple(float(part) for part in shape.meshScale)
+            colours = colour if shape.overrideMaterial else None
+            described = Shape("mesh", scale, placement, shape.name, str(shape.meshPath), colours)
+        elif kind == "Box":
+            sizes = tuple(float(2.0 * half) for half in solid.halfSide)
+            described = Shape("box", sizes, placement, shape.name, colour=colour)
+        elif kind == "Sphere":
+            described = Shape("sphere", (float(solid.radius),), placement, shape.name, colour=colour)
+        elif kind == "Ellipsoid":
+            radii = tuple(float(radius) for radius in np.asarray(solid.radii))
+            described = Shape("ellipsoid", radii, placement, shape.name, colour=colour)
+        elif kind in ("Cylinder", "Capsule"):
+            sizes = float(solid.radius), float(2.0 * solid.halfLength)
+            form: ShapeKind = "cylinder" if kind == "Cylinder" else "capsule"
+            described = Shape(form, sizes, placement, shape.name, colour=colour)
+        if described is not None:
+            yield _Visual(frame.name, described, Path(described.mesh) if described.mesh else None)

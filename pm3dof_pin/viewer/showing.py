@@ -1,25 +1,34 @@
-"""Showing a scene: served to a browser, in a notebook, as one file, as a picture."""
+"""Showing a scene: served to a browser, in a notebook, as one file, as a picture.
+
+The page is one HTML file: meshcat's program, the panel, the robot's programs, and the whole scene.
+"""
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import os
 import sys
 import threading
 import webbrowser
 from dataclasses import dataclass
+from functools import lru_cache
 from html import escape
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING, Self
 
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import write_atomically, write_text_atomically
 from pm3dof_pin.typing import Array
-from pm3dof_pin.viewer.page import page_html
 from pm3dof_pin.viewer.panel import Entry
 from pm3dof_pin.viewer.scene import Json, Scene
 
 if TYPE_CHECKING:
     from pm3dof_pin.viewer.server import SceneServer
+
+_PARTS = ("ellipsoids", "workspace", "path", "pointer", "settings")
 
 
 @dataclass(frozen=True)
@@ -170,7 +179,7 @@ class ShownScene:
     def _page(self, *, served: bool) -> str:
         title = str(self.scene.panel.get("title", ""))
         scene = {} if served else self.scene.snapshot()
-        return page_html(scene, title=title, served=served, programs=self._program_source())
+        return _page_html(scene, title=title, served=served, programs=self._program_source())
 
     def _program_source(self) -> str:
         """Return the JavaScript that moves the robot in the page, see :mod:`pm3dof_pin.viewer.page_programs`."""
@@ -182,3 +191,36 @@ def _in_existing_folder(path: Path | str) -> Path:
     if not target.parent.is_dir():
         raise OutputError(target, f"folder {target.parent} does not exist")
     return target
+
+
+def _page_html(scene: Json, *, title: str, served: bool, programs: str = "") -> str:
+    """Return the page of a scene's snapshot with the programs of its sliders; a served page listens for changes."""
+    data = json.dumps(scene, separators=(",", ":"), allow_nan=False)
+    for sign in "<>&\u2028\u2029":  # "</script>" and "<!--" take effect even inside a string
+        data = data.replace(sign, f"\\u{ord(sign):04x}")
+    return Template(_asset("page.html")).substitute(
+        title=escape(title),
+        style=_asset("page.css"),
+        socket="yes" if served else "no",
+        licences=_meshcat_file("LICENSE") + "\n" + _meshcat_file("dist/main.min.js.LICENSE.txt"),
+        meshcat=_meshcat_file("dist/main.min.js"),
+        programs=programs or "const programs = null;",
+        robot=_asset("robot.js"),
+        page=_asset("page.js"),
+        parts="\n".join(_asset(f"{name}.js") for name in _PARTS),
+        scene=data,
+    )
+
+
+@lru_cache
+def _asset(name: str) -> str:
+    return files("pm3dof_pin.viewer").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+@lru_cache
+def _meshcat_file(name: str) -> str:
+    # located, not imported: the package would import IPython and its own servers
+    specification = importlib.util.find_spec("meshcat")
+    assert specification is not None
+    assert specification.origin is not None
+    return (Path(specification.origin).parent / "viewer" / name).read_text(encoding="utf-8")

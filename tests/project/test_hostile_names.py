@@ -29,7 +29,7 @@ from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.programs.c import c99
 from pm3dof_pin.programs.graph import Graph
-from pm3dof_pin.viewer.page import page_html
+from pm3dof_pin.viewer.showing import _page_html
 
 NAMES = [
     "<!--<script>alert(1)</script>-->",
@@ -82,8 +82,8 @@ def test_exported_files_are_sound(name: str, tmp_path: Path) -> None:
 
 
 def test_the_page_of_the_viewer() -> None:
-    harmless = page_html({"name": "arm"}, title="arm", served=False)
-    page = page_html({"name": ALL}, title=ALL, served=False)
+    harmless = _page_html({"name": "arm"}, title="arm", served=False)
+    page = _page_html({"name": ALL}, title=ALL, served=False)
     for sign in ("<script", "</script", "<!--", "-->"):
         assert page.count(sign) == harmless.count(sign), sign
     (data,) = re.findall(r'<script id="scene" type="application/json">(.*?)</script>', page)

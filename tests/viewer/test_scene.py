@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pm3dof_pin.viewer import objects
-from pm3dof_pin.viewer.page import page_html
 from pm3dof_pin.viewer.scene import Scene
+from pm3dof_pin.viewer.showing import _page_html
 
 
 def kinds(message: dict[str, Any]) -> list[tuple[str, str]]:
@@ -85,7 +85,7 @@ def test_a_page_needs_nothing_else() -> None:
     """It contains no URL except a namespace, and data cannot end its own element."""
     scene = Scene()
     scene.set_object("/</script><b>", ball())
-    page = page_html(scene.snapshot(), title="<a & b>", served=False)
+    page = _page_html(scene.snapshot(), title="<a & b>", served=False)
     assert "<title>&lt;a &amp; b&gt;</title>" in page
     assert page.count("</script>") == page.count("<script")
     without_licences = re.sub(r'<script type="text/plain" id="licences">.*?</script>', "", page, flags=re.DOTALL)
