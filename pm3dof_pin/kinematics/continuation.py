@@ -290,9 +290,12 @@ class Continuation:
 
     def _given_numbers(self, values: Array) -> Array:
         """Return coordinates in the form the program takes."""
-        numbers: Array = np.take(values, self._order, axis=-1)
-        numbers -= self._offsets[self._order]
-        numbers /= self._scales[self._order]
+        is_ordered = self._order == list(range(len(self._order)))
+        numbers: Array = np.array(values, dtype=float) if is_ordered else np.take(values, self._order, axis=-1)
+        if self._offsets.any():
+            numbers -= self._offsets[self._order]
+        if (self._scales != 1.0).any():
+            numbers /= self._scales[self._order]
         return numbers
 
     def _inputs(self, q: Matrix, numbers: Matrix) -> Matrix:
@@ -315,7 +318,7 @@ class Continuation:
             outputs = program.split(self._checks(q[part], room[: len(q[part])]))
             broken[part] = outputs["broken"]
             if branch is not None:
-                branch[part] = np.nan_to_num(outputs["branch"]).astype(np.int64) ^ self._home_branch
+                branch[part] = outputs["branch"].astype(np.int64) ^ self._home_branch
             if values is not None and self._tool:
                 residual[part] = self._residuals_of_placed(q[part], values[part], outputs)
             else:

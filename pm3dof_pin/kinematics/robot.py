@@ -597,7 +597,8 @@ class Robot(PlacedMechanism):
             raise ShapeError(name, targets.shape, expected)
         if on_failure == "raise":
             finite_array(f"{name} ({names})", targets, targets.shape)
-        if (np.abs(targets[np.isfinite(targets)]) > _MAX_MAGNITUDE).any():
+        largest = np.abs(targets).max(initial=0.0)
+        if not largest <= _MAX_MAGNITUDE and (np.abs(targets[np.isfinite(targets)]) > _MAX_MAGNITUDE).any():
             raise InvalidValueError(f"{name} ({names})", targets, f"numbers of at most {_MAX_MAGNITUDE:g}")
         if guess is None and not isinstance(values, Grid):  # iterates from a guess may be anywhere
             for coordinate, column in zip(coordinates, np.moveaxis(targets, -1, 0), strict=True):

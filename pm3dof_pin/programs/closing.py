@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +38,14 @@ from pm3dof_pin.programs.graph import (
     sqrt,
 )
 from pm3dof_pin.programs.joints import cross, objects
-from pm3dof_pin.programs.loops import Equations, largest, largest_residual, loop_equations, tool_equations
+from pm3dof_pin.programs.loops import (
+    Equations,
+    in_axes_of_first_frame,
+    largest,
+    largest_residual,
+    loop_equations,
+    tool_equations,
+)
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Array, Matrix, Objects
@@ -56,7 +65,10 @@ _LONGEST_STEP = 0.5
 _REGULAR = 1.0 - 2.0**-10
 """Regularity of configurations at least as far from singular ones as usual."""
 
-_MAX_EXPANDED = 6  # rows of a determinant that is expanded; a larger one is eliminated
+_SHARE = 0.3  # of the length of the most independent equation; sufficient for one with fewer entries
+_MAX_GROWTH = 30  # terms by which a product may be longer than its factors; a dense matrix of 8 rows is expanded
+_Form = dict[tuple[int, ...], Scalar]  # an exterior form: coefficients by ascending columns
+
 _MAX_BITS = 30  # of the mode, which leaves seven digits for the regularity
 
 
@@ -225,20 +237,56 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
     count, bits = len(held) + len(task.tool), itertools.count()
     number: Scalar = 0.0
     rates: dict[int, Objects] = {k: objects(np.eye(count)[column].tolist()) for column, k in enumerate(held)}
-    for system in _systems([_scaled(tree, equation) for equation in equations], set(held)):
-        right = zeros(len(system.error), count)
-        if task.tool and system.has_last:
-            right[-len(task.tool) :, len(held) :] = np.eye(len(task.tool))
-        solution, _, is_flipped = system.solved(right, rates)
+    systems = _systems([_scaled(tree, equation) for equation in equations], set(held))
+    if any(system.rows is None for system in systems):  # overconstrained loops may have square systems in other axes
+        turned = [
+            in_axes_of_first_frame(tree, k, equation) if len(equation.columns) < len(equation.error) else equation
+            for k, equation in enumerate(equations)
+        ]
+        systems = _systems([_scaled(tree, equation) for equation in turned], set(held))
+    for system in systems:
+        solution, _, is_flipped = system.solved(system.tool_columns(count, len(task.tool)), rates)
         rates |= dict(zip(system.unknowns, solution, strict=True))
+        if system.rows is not None and not (
+            len(system.unknowns) <= 3 and np.array_equal(system.rows, system.selection)
+        ):
+            is_flipped = _is_flipped(_determinant(system.square(system.unknowns)))
         number = number + select(is_flipped, 2.0 ** next(bits), 0.0)
     matrix = np.vstack([zeros(0, count), *(rates.get(k, zeros(1, count)) for k in drives)])
     sizes = np.array([np.nanmax(np.abs(number_samples(entry))) for entry in matrix.ravel()])
     for rows, columns in connected(sizes.reshape(matrix.shape) > ZERO):
         if len(rows) == len(columns):
-            is_flipped = _is_flipped(_determinant(matrix[np.ix_(rows, columns)]))
-            number = number + select(is_flipped, 2.0 ** next(bits), 0.0)
+            determinants = [_determinant(matrix[np.ix_(rows, columns)])]
+            determinants += _minor(systems, held, count, [drives[row] for row in rows], columns)
+            shortest = min(determinants, key=lambda d: len(tree.graph.program("determinant", {"value": d}).codes))
+            number = number + select(_is_flipped(shortest), 2.0 ** next(bits), 0.0)
     return number
+
+
+def _minor(
+    systems: Sequence[_System], held: Sequence[int], count: int, drives: Sequence[int], given: Sequence[int]
+) -> list[Scalar]:
+    """Return a minor of the drives' rates by those of the quantities given, up to a constant factor, if possible.
+
+    By Cramer's rule it is the ratio of two determinants of the loops' equations, both sparse: with the drives given in
+    place of these quantities, and with the quantities. It takes square systems, otherwise nothing is returned.
+    """
+    if any(system.rows is None for system in systems):
+        return []
+    columns = [held[k] for k in given if k < len(held) and held[k] not in drives]
+    columns += [k for system in systems for k in system.unknowns if k not in drives]
+    tool = [k for k in given if k >= len(held)]
+    blocks = [
+        np.hstack([system.square(columns), system.selection @ system.tool_columns(count, count - len(held))[:, tool]])
+        for system in systems
+    ]
+    matrix = np.vstack(blocks)
+    if matrix.shape[0] != matrix.shape[1]:
+        return []
+    result = _determinant(matrix)
+    for system in systems:
+        result = result / _determinant(system.square(system.unknowns))
+    return [result]
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,6 +318,32 @@ class _System:
     def matrix(self) -> Objects:
         """Derivatives by the unknowns, shape=(m, number of unknowns)."""
         return np.stack([self.columns[k] for k in self.unknowns], axis=1)
+
+    def tool_columns(self, count: int, size: int) -> Objects:
+        """Return the right-hand sides for unit rates of the last `size` of `count` quantities, those of the tool."""
+        right = zeros(len(self.error), count)
+        if size and self.has_last:
+            right[-size:, count - size :] = np.eye(size)
+        return right
+
+    @cached_property
+    def selection(self) -> Matrix:
+        """As many of the equations as unknowns, which hold all of them, as a matrix of zeros and ones: sparse ones."""
+        assert self.rows is not None
+        left, chosen = self.rows.copy(), list[int]()
+        entries = [sum(not is_zero(column[k]) for column in self.columns.values()) for k in range(len(self.error))]
+        while len(chosen) < len(left):
+            lengths = np.linalg.norm(left, axis=0)
+            best = min(np.flatnonzero(lengths >= _SHARE * lengths.max()), key=entries.__getitem__)
+            left -= np.outer(left[:, best], left[:, best] @ left) / lengths[best] ** 2
+            chosen.append(int(best))
+        return np.eye(len(self.error))[sorted(chosen)]
+
+    def square(self, columns: Sequence[int]) -> Objects:
+        """Return derivatives of the selected equations by entries of v, shape=(number of unknowns, number of these)."""
+        kept = np.argmax(self.selection, axis=1)
+        nothing = objects([0.0] * len(self.error))
+        return np.stack([self.columns.get(k, nothing)[kept] for k in columns], axis=1)
 
     def solved(self, right: Objects, known: Mapping[int, Objects]) -> tuple[Objects, Scalar, Truth]:
         """Solve for the unknowns, for right-hand sides, shape=(m, k), and known rates, shape=(k,) each.
@@ -360,23 +434,43 @@ def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Sc
 
 
 def _determinant(matrix: Objects) -> Scalar:
-    """Return the determinant of a square matrix, up to a factor that is the same everywhere."""
-    size = len(matrix)
-    if size > _MAX_EXPANDED:
-        result = eliminate(matrix, range(size), Doubt())
-        return math.prod(np.diag(result.pivot_rows[:, list(result.columns)])) if not result.dropped else 0.0
-    minors: dict[tuple[int, ...], Scalar] = {(): 1.0}  # of the first rows, by columns
-    for row in range(size):
-        minors = {
-            columns: total(
-                [
-                    matrix[row, k] * minors[columns[:j] + columns[j + 1 :]] * (-1.0) ** (row + j)
-                    for j, k in enumerate(columns)
-                ]
-            )
-            for columns in itertools.combinations(range(size), row + 1)
-        }
-    return minors[tuple(range(size))]
+    """Return the determinant of a sparse square matrix, or its negative, the same everywhere.
+
+    The rows are multiplied by the exterior product, two by two, in an order that keeps the products short: a column
+    without entries in other rows must be in all their terms (a Laplace expansion along groups of rows). If they become
+    long all the same, the matrix is made triangular instead.
+    """
+    forms: list[_Form] = [{(k,): entry for k, entry in enumerate(row) if not is_zero(entry)} for row in matrix]
+    while len(forms) > 1:
+        columns = [frozenset(itertools.chain.from_iterable(form)) for form in forms]
+        entries = Counter(itertools.chain.from_iterable(columns))
+        choices: list[tuple[int, int, int]] = []
+        for i, j in itertools.combinations(range(len(forms)), 2):
+            degree = sum(len(next(iter(forms[k]), ())) for k in (i, j))
+            joint = columns[i] | columns[j]
+            inside = sum(entries[k] == (k in columns[i]) + (k in columns[j]) for k in joint)
+            growth = math.comb(len(joint) - inside, max(degree - inside, 0)) - len(forms[i]) - len(forms[j])
+            choices.append((growth, i, j))
+        growth, i, j = min(choices)
+        if growth > _MAX_GROWTH:
+            result = eliminate(matrix, range(len(matrix)), Doubt())
+            return 0.0 if result.dropped else math.prod(np.diag(result.pivot_rows[:, list(result.columns)]))
+        second, first = forms.pop(j), forms.pop(i)
+        others = frozenset[int]().union(*(c for k, c in enumerate(columns) if k not in (i, j)))
+        forms.append(_exterior_product(first, second, (columns[i] | columns[j]) - others))
+    return forms[0].get(tuple(range(len(matrix))), 0.0) if forms else 1.0
+
+
+def _exterior_product(first: _Form, second: _Form, inside: frozenset[int]) -> _Form:
+    """Return the exterior product of two forms, but for the terms that lack one of some columns."""
+    terms: dict[tuple[int, ...], list[Scalar]] = {}
+    for (a, x), (b, y) in itertools.product(first.items(), second.items()):
+        both = set(a) | set(b)
+        if len(both) == len(a) + len(b) and both >= inside:
+            inversions = sum(j < i for i in a for j in b)
+            terms.setdefault(tuple(sorted(both)), []).append(-(x * y) if inversions % 2 else x * y)
+    sums = {columns: total(parts) for columns, parts in terms.items()}
+    return {columns: entry for columns, entry in sums.items() if not is_zero(entry)}
 
 
 def _usual(number: Scalar) -> float:

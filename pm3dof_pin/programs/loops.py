@@ -10,7 +10,7 @@ a closed loop as a whole.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -60,6 +60,21 @@ def _closure_equations(tree: Tree, index: int) -> Equations:
     angular, is_far = _angular_error(kind, a.rotation, b.rotation)
     error = objects([*linear, *angular])
     return Equations(error, kind.is_angular, columns, largest(error) + is_far)
+
+
+def in_axes_of_first_frame(tree: Tree, index: int, equations: Equations) -> Equations:
+    """Return the equations of a closure, the `index`-th of all equations, with vectors in the axes of its frame a."""
+    closures = tree.mechanism.closures
+    if index >= len(closures) or not closures[index].kind.holds_vectors:
+        return equations
+    axes = tree.frame(closures[index].frame_a).rotation.T
+
+    def turned(vectors: Objects) -> Objects:
+        return np.concatenate([axes @ part for part in vectors.reshape(-1, 3)])
+
+    return replace(
+        equations, error=turned(equations.error), columns={k: turned(c) for k, c in equations.columns.items()}
+    )
 
 
 def closure_frames(tree: Tree, index: int) -> tuple[Placement, Placement]:

@@ -15,9 +15,12 @@ import pytest
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import ConvergenceError, PM3DofError, SingularConfigurationError, UnreachablePoseError
+from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.branches import branches_of
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.programs.checks import checks_program
+from pm3dof_pin.programs.closing import Task, closing_program
 
 MACHINES = Path(__file__).parents[1] / "machines"
 BASE, PLATFORM = 0.5, 0.2  # radii [m]
@@ -144,6 +147,29 @@ def test_a_five_bar_stays_on_the_side_of_its_distal_links():
     assert np.mean(~same[solved]) > 0.005
     reached = robot.solve(grid, on_failure="nan")
     assert not (reached.solved & solved & ~same).any()
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "three_rps", "linear_delta", "agile_eye", "four_bar"])
+def test_both_engines_number_closed_configurations_far_from_home_alike(name):
+    robot = load(name)
+    generator, rows = np.random.default_rng(5), []
+    for _ in range(80):
+        motion = robot.velocity_scale * generator.uniform(-1.6, 1.6, robot.model.nv)
+        result = assemble(robot, pin.integrate(robot.model, robot.home.q, motion))
+        if result.converged:
+            rows.append(result.q)
+    by_pinocchio = [branches_of(robot).number(row) for row in rows]
+    assert len(set(by_pinocchio)) > 1
+    np.testing.assert_array_equal(robot.at(np.array(rows)).branch, by_pinocchio)
+
+
+def test_numbers_of_branches_take_few_operations():
+    for name in ("pm3dof", "three_rps", "linear_delta"):
+        robot = load(name)
+        task, samples = Task.from_coordinates(robot.coordinates), branches_of(robot).samples
+        step = closing_program(robot, task, samples)
+        more = len(checks_program(robot, samples, task)) - len(checks_program(robot, samples))
+        assert more < 0.7 * len(step)  # a pose of a map takes at least one Newton step
 
 
 @pytest.mark.parametrize(

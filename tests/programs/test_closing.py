@@ -13,7 +13,8 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.checks import checks_program
-from pm3dof_pin.programs.closing import Task, closing_program
+from pm3dof_pin.programs.closing import Task, _determinant, closing_program
+from pm3dof_pin.programs.graph import Graph
 from pm3dof_pin.programs.verification import verify
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
@@ -138,3 +139,18 @@ def test_verification(robot, monkeypatch):
     monkeypatch.setattr(geometry, "numbers", lambda *_: placements | {name: placements[name] + 1e-9})
     with pytest.raises(ProgramError, match="from Pinocchio's"):
         verify(robot, samples)
+
+
+@pytest.mark.parametrize(
+    ("size", "density"), [(1, 1.0), (3, 1.0), (6, 1.0), (10, 1.0), (7, 0.5), (12, 0.25), (16, 0.2)]
+)
+def test_determinants_of_sparse_matrices(size, density):
+    generator = np.random.default_rng(size)
+    pattern = (generator.random((size, size)) < density) | np.eye(size, dtype=bool)[generator.permutation(size)]
+    values = generator.normal(size=(5, size, size)) * pattern
+    graph = Graph()
+    matrix = np.zeros((size, size), dtype=object)
+    for i, j in np.argwhere(pattern):
+        matrix[i, j] = graph.input(f"{i},{j}", values[:, i, j])
+    found, expected = _determinant(matrix).samples, np.linalg.det(values)
+    np.testing.assert_allclose(found * np.sign(found[0] * expected[0]), expected, rtol=1e-9)
