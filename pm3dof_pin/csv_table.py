@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import csv
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pm3dof_pin.exceptions import DescriptionError, MeasurementError, lines_in_words
-from pm3dof_pin.files import csv_text, read_text, without_apostrophe
+from pm3dof_pin.files import read_text, without_apostrophe
 from pm3dof_pin.typing import Array, Mask
 
 logger = logging.getLogger(__name__)
@@ -209,12 +209,3 @@ def _is_numbers(line: str) -> bool:
         return bool([float(word) for word in line.partition("#")[0].replace(",", " ").split()])
     except ValueError:
         return False
-
-
-def columns_as_text(columns: Mapping[str, Array]) -> str:
-    """Return columns of numbers as CSV at full precision; NaN is an empty cell.
-
-    Args:
-        columns: by name, shape=(n,) each.
-    """
-    return csv_text([list(columns), *np.column_stack(list(columns.values())).tolist()])

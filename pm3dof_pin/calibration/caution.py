@@ -16,7 +16,7 @@ with a multiplier m >= 0: the more uncertain a direction is, the less it is corr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.special
@@ -79,17 +79,3 @@ class Gain:
             if self.chance_of_harm(values) <= HARM:
                 break
         return np.asarray(values)
-
-
-def cautious(compensation: Compensation, commands: Array) -> Compensation:
-    """Return a compensation reduced to what is certain enough over measured commands, shape=(n, commands).
-
-    The rest stays uncertain: it is added to the covariance.
-    """
-    gain = Gain.from_compensation(compensation, commands)
-    if gain is None or compensation.covariance is None:
-        return compensation
-    values = gain.sure_values()
-    left_out = np.zeros(len(compensation.covariance))
-    left_out[: len(values)] = gain.identified - values
-    return replace(compensation, values=values, covariance=compensation.covariance + np.outer(left_out, left_out))

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from pm3dof_pin.calibration.caution import Gain, cautious
+from pm3dof_pin.calibration.caution import Gain
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.identification import PRIOR, Identification, identify
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_model
@@ -26,6 +26,7 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.typing import Array
 
 logger = logging.getLogger(__name__)
 
@@ -195,7 +196,7 @@ def compensation_from(
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:
         whole = Compensation.from_identification(identification, options.eta)
-        compensation = cautious(whole, measurements.visits.commands)
+        compensation = _cautious(whole, measurements.visits.commands)
         measurements = compensation.without_loads(measurements)
     if not options.learns:
         return compensation
@@ -238,3 +239,17 @@ def _gaps(identification: Identification) -> Iterator[str]:
         )
     if identification.outliers:
         yield f"outliers, not used for learning: lines {', '.join(map(str, identification.outlier_lines))}"
+
+
+def _cautious(compensation: Compensation, commands: Array) -> Compensation:
+    """Return a compensation reduced to what is certain enough over measured commands, shape=(n, commands).
+
+    The rest stays uncertain: it is added to the covariance.
+    """
+    gain = Gain.from_compensation(compensation, commands)
+    if gain is None or compensation.covariance is None:
+        return compensation
+    values = gain.sure_values()
+    left_out = np.zeros(len(compensation.covariance))
+    left_out[: len(values)] = gain.identified - values
+    return replace(compensation, values=values, covariance=compensation.covariance + np.outer(left_out, left_out))

@@ -110,15 +110,6 @@ class Polytopes:
         """Radius of the greatest ball about the origin inside, shape=(...); negative if the origin is outside."""
         return np.asarray(self.offsets.min(axis=-1))
 
-    def box_scale(self, half_edges: ArrayLike) -> Array:
-        """Return the greatest factor by which a box about the origin fits inside, shape=(...).
-
-        Args:
-            half_edges: half the box's edges, shape=(d,).
-        """
-        reach = np.abs(self.normals) @ np.asarray(half_edges, dtype=float)
-        return np.asarray(_ratio(self.offsets, reach).min(axis=-1))
-
     def extent(self, directions: ArrayLike) -> Array:
         """Return how far directions lead from the origin to the boundary, in multiples of each; NaN if it is outside.
 
@@ -131,7 +122,7 @@ class Polytopes:
         given = np.asarray(directions, dtype=float)
         along = np.einsum("...md,...d->...m", self.normals, given)
         along = np.where(along > ROUNDING * np.linalg.norm(given, axis=-1, keepdims=True), along, 0.0)
-        far = _ratio(self.offsets, along, only_positive=True).min(axis=-1)
+        far = _ratio(self.offsets, along).min(axis=-1)
         return np.asarray(np.where(self.contains_origin, far, np.nan))
 
     def pulled_back(self, matrix: ArrayLike) -> Polytopes:
@@ -230,8 +221,7 @@ def _times(matrix: Array, vector: Array) -> Array:
     )
 
 
-def _ratio(offsets: Array, lengths: Array, *, only_positive: bool = False) -> Array:
-    """Return offsets / lengths, infinite where a length is zero, or not positive if `only_positive`."""
-    counts = lengths > 0.0 if only_positive else lengths != 0.0
+def _ratio(offsets: Array, lengths: Array) -> Array:
+    """Return offsets / lengths, infinite where a length is not positive."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.where(counts, offsets / lengths, np.where(offsets < 0.0, -np.inf, np.inf)))
+        return np.asarray(np.where(lengths > 0.0, offsets / lengths, np.where(offsets < 0.0, -np.inf, np.inf)))

@@ -67,7 +67,7 @@ KnownWrenches = Annotated[
 ]
 
 
-class WrenchNumbers(NamedTuple):
+class _WrenchNumbers(NamedTuple):
     """A wrench given as an option."""
 
     fx: float
@@ -78,7 +78,7 @@ class WrenchNumbers(NamedTuple):
     mz: float
 
     @classmethod
-    def parse(cls, text: str) -> WrenchNumbers:
+    def parse(cls, text: str) -> _WrenchNumbers:
         """Read FX FY FZ MX MY MZ."""
         numbers = [finite_number(word) for word in text.split()]
         if len(numbers) != NUMBER_OF_VALUES["--wrench"]:
@@ -87,11 +87,11 @@ class WrenchNumbers(NamedTuple):
 
 
 AppliedWrenches = Annotated[
-    list[WrenchNumbers] | None,
+    list[_WrenchNumbers] | None,
     typer.Option(
         "--wrench",
         metavar="FX FY FZ MX MY MZ",
-        parser=WrenchNumbers.parse,
+        parser=_WrenchNumbers.parse,
         help="Wrench of the tool on its environment, at the tool point, base axes [N, N m]; may be repeated.",
     ),
 ]

@@ -21,7 +21,7 @@ from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Matrix, Vector
 
 
-class JointMotion(NamedTuple):
+class _JointMotion(NamedTuple):
     """Velocity and acceleration of all joints: v and dv/dt, shape=(nv,) [SI].
 
     `idle` are the motions that remain with the given joints, and thus actuated joints and tool, at rest, such as the
@@ -54,7 +54,7 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """Compute the actuator forces of a motion, given by some joints' rates and accelerations.
 
-    The motion of all joints follows from the loops, :func:`loop_motion`; the recursive Newton-Euler algorithm gives the
+    The motion of all joints follows from the loops; the recursive Newton-Euler algorithm gives the
     forces of the open tree, and virtual work on the motions of the closed loops those of the actuators. Rigid bodies,
     no friction. Idle degrees of freedom are not driven: they accelerate freely under the forces.
 
@@ -85,7 +85,7 @@ def inverse_dynamics(
     """
     mechanism = mechanism_of(configuration)
     mechanism.require_possible_inertias()
-    motion = loop_motion(configuration, rates, accelerations, joints=joints)
+    motion = _loop_motion(configuration, rates, accelerations, joints=joints)
     model = model_with_payloads(mechanism, payloads)
     external = generalised_forces(configuration, wrenches)
     load = pin.rnea(model, model.createData(), np.array(configuration.q), motion.velocity, motion.acceleration)
@@ -102,13 +102,13 @@ def inverse_dynamics(
     return InverseDynamics(forces, motion.velocity, frozen(motion.acceleration + free))
 
 
-def loop_motion(
+def _loop_motion(
     configuration: Configuration,
     rates: ArrayLike,
     accelerations: ArrayLike,
     *,
     joints: Iterable[str] | None = None,
-) -> JointMotion:
+) -> _JointMotion:
     """Compute the motion of all joints from that of some, with closed loops: G v = 0, G dv/dt + dG/dt v = 0.
 
     Arguments and errors as in :func:`inverse_dynamics`.
@@ -129,7 +129,7 @@ def loop_motion(
     v = _reached("rates", given, start, np.zeros_like(dof.scale), units)
     drift = mechanism.loop_kinematics.drift(configuration.q, dof.scale * v)
     a = _reached("accelerations", given, wanted, -dof.closures.inverse @ (drift / mechanism.closure_scale), units)
-    return JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
+    return _JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
 
 
 def _reached(argument: str, given: Restriction, numbers: Vector, start: Vector, units: Vector) -> Vector:

@@ -11,10 +11,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pm3dof_pin.csv_table import CsvTable, columns_as_text, is_condition
+from pm3dof_pin.csv_table import CsvTable, is_condition
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, rotation_vector
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
-from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.pose_file import UNIT_QUATERNION
 from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO, Instrument
@@ -101,7 +101,7 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
         columns |= {_TIME: measurements.times}
     if measurements.approaches is not None:
         columns |= zip(_approach_columns(robot), measurements.approaches.T, strict=True)
-    return write_text_atomically(path, columns_as_text(columns | measurements.conditions))
+    return write_text_atomically(path, _columns_as_text(columns | measurements.conditions))
 
 
 def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None = None) -> Path:
@@ -115,7 +115,7 @@ def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None
     columns: dict[str, Array] = dict(zip(command_columns(poses.robot), poses.commands.T, strict=True))
     nominal = np.concatenate([poses.positions, quaternion(poses.rotations)], axis=1)
     columns |= {f"nominal_{name}": values for name, values in zip((*_POSITION, *_QUATERNION), nominal.T, strict=True)}
-    return write_text_atomically(path, columns_as_text(columns | dict(loads or {})))
+    return write_text_atomically(path, _columns_as_text(columns | dict(loads or {})))
 
 
 def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
@@ -583,3 +583,12 @@ class _Reader:
             last = np.where(np.abs(moved) > _SAME, np.sign(moved), last)
             approaches[row] = last
         return approaches
+
+
+def _columns_as_text(columns: Mapping[str, Array]) -> str:
+    """Return columns of numbers as CSV at full precision; NaN is an empty cell.
+
+    Args:
+        columns: by name, shape=(n,) each.
+    """
+    return csv_text([list(columns), *np.column_stack(list(columns.values())).tolist()])

@@ -66,17 +66,17 @@ loops do not close; the targets, or the start, are not numbers or too far away. 
 
 
 @dataclass(frozen=True)
-class Limits:
+class _Limits:
     """What a leg may do to be accepted."""
 
     jump: float  #: largest distance of a joint from its prediction [rad, characteristic lengths]
     regularity: float  #: regularity, see :func:`~pm3dof_pin.programs.closing.closing_program`, that must be exceeded
 
 
-WALK = Limits(jump=0.3, regularity=1e-5)
+WALK = _Limits(jump=0.3, regularity=1e-5)
 """Limits of a leg of a walk."""
 
-MARCH = Limits(jump=0.1, regularity=1e-3)
+MARCH = _Limits(jump=0.1, regularity=1e-3)
 """Limits between neighbours of a grid."""
 
 _FAR = 1000.0  # longest walk [rad, characteristic lengths]
@@ -201,7 +201,7 @@ def branch_program(mechanism: Mechanism, coordinates: Task, samples: ArrayLike, 
 
 
 def _is_accepted(
-    margin: Scalar, jump: Scalar, residual: Scalar, tolerance: Scalar, mode: Scalar, limits: Limits
+    margin: Scalar, jump: Scalar, residual: Scalar, tolerance: Scalar, mode: Scalar, limits: _Limits
 ) -> Truth:
     """Return whether a pose is in the given assembly mode, and no limit is exceeded on the way to it."""
     regularity, found = _regularity_and_mode(margin)

@@ -44,7 +44,6 @@ def test_rates_are_bounded_by_every_drive() -> None:
     """Two drives along x, and one along the diagonal of x and y."""
     rates = Polytopes.from_inequalities([[1.0, 0.0], [1.0, 0.0], [1.0, 1.0]], [-3.0, -1.0, -2.0], [3.0, 2.0, 2.0])
     assert rates.extent([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [-1.0, 1.0]]).tolist() == [2.0, 1.0, 2.0, 1.0]
-    assert rates.box_scale([1.0, 1.0]) == 1.0
     np.testing.assert_allclose(rates.ball_radius, 1.0)
     np.testing.assert_allclose(sorted(map(tuple, rates.vertices())), [(-1, -1), (-1, 3), (2, -4), (2, 0)], atol=1e-9)
 

@@ -16,7 +16,7 @@ import pytest
 import pm3dof_pin as pm
 from pm3dof_pin.description.closure_types import CLOSURE_TYPES
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.dynamics.inverse_dynamics import loop_motion
+from pm3dof_pin.dynamics.inverse_dynamics import _loop_motion
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
 from pm3dof_pin.errors.sensitivity import closable
@@ -161,7 +161,7 @@ def test_mobility_is_that_of_gruebler(robot: Robot, case: _Case) -> None:
 
 def test_drift_is_the_second_derivative_of_the_error(robot: Robot, closed: list[pm.Configuration]) -> None:
     for configuration in closed:
-        motion = loop_motion(configuration, [1.3, -0.7], [0.0, 0.0])
+        motion = _loop_motion(configuration, [1.3, -0.7], [0.0, 0.0])
         v = np.array(motion.velocity)
         ahead, behind = (_moved(robot, configuration.q, v, step).constraint_jacobian @ v for step in (_STEP, -_STEP))
         drift = robot.loop_kinematics.drift(configuration.q, v)
@@ -170,7 +170,7 @@ def test_drift_is_the_second_derivative_of_the_error(robot: Robot, closed: list[
 
 def test_accelerations_are_those_of_the_poses_in_time(robot: Robot, closed: list[pm.Configuration]) -> None:
     start, rates, accelerations = closed[1], np.array([0.9, -0.6]), np.array([0.4, 0.5])
-    motion = loop_motion(start, rates, accelerations)
+    motion = _loop_motion(start, rates, accelerations)
     step = 1e-4
     times = np.array([-step, 0.0, step])[:, None]
     reference = robot.with_engine("pinocchio")

@@ -11,7 +11,7 @@ import pytest
 import pm3dof_pin as pm
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.couplings import Coupling
-from pm3dof_pin.dynamics.inverse_dynamics import loop_motion
+from pm3dof_pin.dynamics.inverse_dynamics import _loop_motion
 from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
@@ -155,7 +155,7 @@ def test_polynomials_are_followed_exactly(engine: str) -> None:
 def test_rates_and_accelerations_follow_the_polynomial() -> None:
     robot = _cam(_POLYNOMIAL, [pin.JointModelRZ(), pin.JointModelRZ()])
     start = robot.forward([[0.4]])[0].configuration()
-    motion = loop_motion(start, [1.5], [-0.7])
+    motion = _loop_motion(start, [1.5], [-0.7])
     p = np.polynomial.Polynomial([0.05, 0.5, -0.3, 0.2, 0.1])
     assert motion.velocity[1] == pytest.approx(p.deriv()(0.4) * 1.5, abs=1e-12)
     assert motion.acceleration[1] == pytest.approx(p.deriv(2)(0.4) * 1.5**2 - p.deriv()(0.4) * 0.7, abs=1e-12)

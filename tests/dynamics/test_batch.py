@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natural_frequencies
-from pm3dof_pin.dynamics.inverse_dynamics import inverse_dynamics, loop_motion
+from pm3dof_pin.dynamics.inverse_dynamics import _loop_motion, inverse_dynamics
 from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix, mass_matrix
 from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.dynamics.statics import holding_forces
@@ -142,7 +142,7 @@ def test_objects_of_a_wrong_kind_are_refused(wrong: object) -> None:
     calls: list[Callable[[Any], object]] = [
         *(lambda value, f=f: f(value, np.zeros((1, 12))) for f in of_robots),
         *of_configurations,
-        *(lambda value, f=f: f(value, [0.0] * 3, [0.0] * 3) for f in (inverse_dynamics, loop_motion)),
+        *(lambda value, f=f: f(value, [0.0] * 3, [0.0] * 3) for f in (inverse_dynamics, _loop_motion)),
         lambda value: natural_modes(value, np.zeros(12)),
         lambda value: natural_frequencies(value, np.zeros((1, 12)), count=1),
     ]

@@ -11,7 +11,7 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.dynamics.inverse_dynamics import inverse_dynamics, loop_motion
+from pm3dof_pin.dynamics.inverse_dynamics import _loop_motion, inverse_dynamics
 from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix, mass_matrix
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
@@ -44,7 +44,7 @@ def test_a_moving_tripod_needs_the_forces_found_by_other_simulators(tilted: Conf
 def test_velocity_and_acceleration_are_those_of_the_closed_loops(tilted: Configuration, by: str) -> None:
     mechanism = tilted.mechanism
     joints = mechanism.actuated_joints if by == "actuated" else mechanism.motion_coordinates
-    motion = loop_motion(tilted, RATES, ACCELERATIONS, joints=joints)
+    motion = _loop_motion(tilted, RATES, ACCELERATIONS, joints=joints)
     start = np.array([tilted.joint_position(name) for name in joints])
     step = 1e-4
 
@@ -74,7 +74,7 @@ def test_a_four_bar_obeys_the_equation_of_lagrange(
         result = inverse_dynamics(configuration, [rate], [acceleration])
         expected = four_bar.torque(crank, rate, acceleration)
         assert result.forces.actuator_forces[0] == pytest.approx(expected, rel=1e-8, abs=1e-8)
-    velocity = loop_motion(configuration, [1.0], [0.0]).velocity
+    velocity = _loop_motion(configuration, [1.0], [0.0]).velocity
     assert velocity @ mass_matrix(configuration) @ velocity == pytest.approx(four_bar.inertia(crank), rel=1e-12)
 
 
@@ -89,7 +89,7 @@ def test_driven_at_the_rocker_it_takes_the_same_power(
 
 def test_the_mass_matrix_in_motion_coordinates_gives_the_kinetic_energy(tilted: Configuration) -> None:
     joints = tilted.mechanism.motion_coordinates
-    velocity = loop_motion(tilted, RATES, np.zeros(3), joints=joints).velocity
+    velocity = _loop_motion(tilted, RATES, np.zeros(3), joints=joints).velocity
     model = tilted.mechanism.model
     energy = pin.computeKineticEnergy(model, model.createData(), np.array(tilted.q), velocity)
     whole, motions = mass_matrix(tilted), independent_motions(tilted)
@@ -127,7 +127,7 @@ def test_the_power_of_the_actuators_is_the_rate_of_the_energy(mechanism: Robot, 
     def energy(time: float) -> float:
         values = POSE + time * RATES + 0.5 * time**2 * ACCELERATIONS
         there = mechanism.solve(values, guess=tilted.q).configuration()
-        velocity = loop_motion(there, RATES + time * ACCELERATIONS, ACCELERATIONS, joints=joints).velocity
+        velocity = _loop_motion(there, RATES + time * ACCELERATIONS, ACCELERATIONS, joints=joints).velocity
         data = mechanism.model.createData()
         kinetic = pin.computeKineticEnergy(mechanism.model, data, np.array(there.q), velocity)
         return float(kinetic + pin.computePotentialEnergy(mechanism.model, data, np.array(there.q)))
@@ -140,7 +140,7 @@ def test_a_round_link_keeps_its_spin_about_its_own_axis(spatial_crank: Any) -> N
     """No moment acts on a bar of revolution about its axis, so the acceleration about it vanishes (Euler)."""
     configuration, mechanism = spatial_crank.configuration, spatial_crank.mechanism
     result = inverse_dynamics(configuration, [9.0], [-25.0])
-    shortest = loop_motion(configuration, [9.0], [-25.0])
+    shortest = _loop_motion(configuration, [9.0], [-25.0])
 
     def spin(acceleration: np.ndarray) -> float:
         model, data = mechanism.model, mechanism.model.createData()
@@ -163,7 +163,7 @@ def test_rates_that_the_loops_do_not_allow_are_refused(
         inverse_dynamics(configuration, [1.0, 0.0], [0.0, 0.0])
     with pytest.raises(InvalidValueError, match="accelerations"):
         inverse_dynamics(configuration, [1.0, ratio], [0.0, 0.0])
-    result = loop_motion(configuration, [1.0], [0.0], joints=["crank_joint"])
+    result = _loop_motion(configuration, [1.0], [0.0], joints=["crank_joint"])
     driven = configuration.mechanism.actuated_indices
     assert result.acceleration[driven] == pytest.approx([0.0, slope], abs=1e-8)
     both = inverse_dynamics(configuration, result.velocity[driven], result.acceleration[driven])
@@ -174,10 +174,10 @@ def test_joints_that_do_not_tell_the_motion_are_refused(
     tilted: Configuration, make_four_bar: Callable[..., Robot], place_four_bar: Callable[..., Configuration]
 ) -> None:
     with pytest.raises(SingularConfigurationError, match="can move while slider1_joint"):
-        loop_motion(tilted, [1.0], [0.0], joints=["slider1_joint"])
+        _loop_motion(tilted, [1.0], [0.0], joints=["slider1_joint"])
     dead_point = float(np.arccos((0.7**2 + 0.6**2 - 0.4**2) / (2.0 * 0.7 * 0.6)))
     with pytest.raises(SingularConfigurationError, match="can move while rocker_joint"):
-        loop_motion(place_four_bar(make_four_bar("rocker_joint"), dead_point), [0.0], [0.0])
+        _loop_motion(place_four_bar(make_four_bar("rocker_joint"), dead_point), [0.0], [0.0])
 
 
 def test_arguments_of_a_wrong_shape_are_refused(tilted: Configuration) -> None:
@@ -203,7 +203,7 @@ def test_acceleration_of_two_wrists_that_hold_one_body() -> None:
     step = 1e-4
     times = step * np.array([-1.0, 0.0, 1.0])[:, None]
     q = robot.forward(start + rates * times + 0.5 * accelerations * times**2, engine="pinocchio").q
-    motion = loop_motion(robot.configuration(q[1]), rates, accelerations)
+    motion = _loop_motion(robot.configuration(q[1]), rates, accelerations)
     np.testing.assert_allclose(motion.velocity, (q[2] - q[0]) / (2.0 * step), atol=1e-6)
     np.testing.assert_allclose(motion.acceleration, (q[2] - 2.0 * q[1] + q[0]) / step**2, atol=1e-5)
 

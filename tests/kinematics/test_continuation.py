@@ -218,7 +218,7 @@ def test_legs_twenty_times_shorter_end_in_the_same_poses(name, given, monkeypatc
     values = home + np.random.default_rng(3).uniform(-1.0, 1.0, (200, home.shape[1])) * units
     starts = np.tile(robot.home.q, (200, 1))
     walked = solver._walked(starts, values)
-    monkeypatch.setattr(walk, "WALK", walk.Limits(jump=0.05, regularity=walk.WALK.regularity))
+    monkeypatch.setattr(walk, "WALK", walk._Limits(jump=0.05, regularity=walk.WALK.regularity))
     compiled, parameters = solver._step
     samples = program_source(robot).samples
     start = walk.start_program(robot, solver._task, samples, leg=0.05 * walk.LEG)
