@@ -151,7 +151,8 @@ class _Reader:
         assert self._process is not None
         assert self._process.stdout is not None
         stream = self._process.stdout.fileno()
-        if not select.select([stream], [], [], max(0.0, deadline - time.monotonic()))[0]:
+        left = deadline - time.monotonic()
+        if left <= 0.0 or not select.select([stream], [], [], left)[0]:
             raise TimeoutError
         if not (received := os.read(stream, 1 << 20)):
             raise EOFError
