@@ -18,12 +18,12 @@ TIP_LENGTH = 0.1
 """Default of eta [m/rad]: the distance at which a rotation counts as much as the displacement it causes."""
 
 
-def _position_error(ideal: ArrayLike, real: ArrayLike) -> Array:
+def position_error(ideal: ArrayLike, real: ArrayLike) -> Array:
     """Return the position error between desired and reached poses, shape=(..., 4, 4), (8.16), shape=(...) [m]."""
     return np.asarray(np.linalg.norm(_position(real) - _position(ideal), axis=-1))
 
 
-def _orientation_error(ideal: ArrayLike, real: ArrayLike) -> Array:
+def orientation_error(ideal: ArrayLike, real: ArrayLike) -> Array:
     """Return the angle between orientations of desired and reached poses, in [0, pi], shape=(...) [rad].
 
     (8.17) prints an arc cosine of a sum of cosine products, which is acos(3) for zero error. This is the angle of
@@ -38,7 +38,7 @@ def energy(ideal: ArrayLike, real: ArrayLike, eta: float = TIP_LENGTH) -> Array:
 
     The chapter leaves out the unit of eta [m/rad].
     """
-    return _position_error(ideal, real) + _checked_eta(eta) * _orientation_error(ideal, real)
+    return position_error(ideal, real) + _checked_eta(eta) * orientation_error(ideal, real)
 
 
 def pose_difference(ideal: ArrayLike, real: ArrayLike) -> Array:

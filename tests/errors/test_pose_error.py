@@ -24,7 +24,7 @@ def _pose(turn: np.ndarray, position: np.ndarray) -> np.ndarray:
 def test_angles_are_kept_to_the_last_digits(angle: float) -> None:
     axis = np.array([2.0, -1.0, 2.0]) / 3.0
     real = _pose(angle * axis, np.zeros(3))
-    assert pose_error._orientation_error(np.eye(4), real) == pytest.approx(angle, rel=1e-12, abs=1e-15)
+    assert pose_error.orientation_error(np.eye(4), real) == pytest.approx(angle, rel=1e-12, abs=1e-15)
     vector = pose_error.rotation_vector(real[:3, :3])
     assert np.linalg.norm(vector) == pytest.approx(angle, rel=1e-12, abs=1e-15)
     if 0.0 < angle < np.pi - 1e-9:
@@ -37,8 +37,8 @@ def test_it_is_the_angle_between_any_two_poses() -> None:
     ideal, real = np.eye(4), np.eye(4)
     ideal[:3, :3], real[:3, :3] = first, pin.exp3(turn) @ first
     real[:3, 3] = [0.003, 0.004, 0.0]
-    assert pose_error._orientation_error(ideal, real) == pytest.approx(5e-7, rel=1e-8)
-    assert pose_error._position_error(ideal, real) == pytest.approx(0.005)
+    assert pose_error.orientation_error(ideal, real) == pytest.approx(5e-7, rel=1e-8)
+    assert pose_error.position_error(ideal, real) == pytest.approx(0.005)
     assert pose_error.energy(ideal, real, eta=200.0) == pytest.approx(0.005 + 1e-4)
     np.testing.assert_allclose(pose_error.pose_difference(ideal, real), [0.003, 0.004, 0.0, *turn], atol=1e-15)
     assert pose_error.tip_error([3.0, 0.0, 0.0, 0.0, 8.0, 0.0], eta=0.5) == pytest.approx(5.0)
@@ -94,7 +94,7 @@ def test_the_angles_of_the_tripod() -> None:
 
 def test_arguments_are_checked() -> None:
     with pytest.raises(InvalidValueError, match=r"\(\.\.\., 4, 4\)"):
-        pose_error._position_error(np.zeros(3), np.zeros(3))
+        pose_error.position_error(np.zeros(3), np.zeros(3))
     with pytest.raises(InvalidValueError, match="eta"):
         pose_error.energy(np.eye(4), np.eye(4), eta=-1.0)
 
@@ -102,4 +102,4 @@ def test_arguments_are_checked() -> None:
 def test_a_reflection_is_no_orientation() -> None:
     mirror = np.diag([1.0, 1.0, -1.0, 1.0])
     with pytest.raises(InvalidValueError, match="reflection"):
-        pose_error._orientation_error(np.eye(4), mirror)
+        pose_error.orientation_error(np.eye(4), mirror)
