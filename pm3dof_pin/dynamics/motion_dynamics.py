@@ -10,6 +10,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, require_kind
+from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.jacobians import MotionName, Rate, ReferenceMotions, motion_rates, recorded_motions
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
@@ -18,8 +19,8 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt, product, samples
-from pm3dof_pin.programs.graph import Graph, select, sqrt
-from pm3dof_pin.programs.loops import closed
+from pm3dof_pin.programs.graph import Graph, sqrt
+from pm3dof_pin.programs.loops import checked_program
 from pm3dof_pin.programs.masses import Masses, mass_numbers, mass_pattern
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
@@ -76,15 +77,14 @@ def motion_dynamics(
         return _evaluated(robot, model, rates, seen, q, threads)
 
     def reference(q: Vector) -> Vector:
-        point = ReferenceMotions(robot.configuration(q), seen, rates)
-        data = model.createData()
-        mass = pin.crba(model, data, q)
-        mass = np.triu(mass) + np.triu(mass, 1).T
+        configuration = robot.configuration(q)
+        point = ReferenceMotions(configuration, seen, rates)
+        mass = mass_matrix(configuration, payloads=payloads)
         motions, idle = point.motions, point.idle
         felt = idle.T @ mass
         if idle.size:
             motions = motions - idle @ np.linalg.lstsq(felt @ idle, felt @ motions, rcond=_NO_MASS)[0]
-        weight = pin.computeGeneralizedGravity(model, data, q)
+        weight = pin.computeGeneralizedGravity(model, model.createData(), q)
         return np.concatenate([(motions.T @ mass @ motions).ravel(), motions.T @ weight])
 
     values = evaluate_at(
@@ -114,8 +114,7 @@ def _evaluated(
     def trace() -> Program:
         poses = samples_near_home(robot)
         verify(robot, poses)
-        graph, doubt = Graph(), Doubt()
-        tree = Tree(graph, robot, poses)
+        doubt, tree = Doubt(), Tree(Graph(), robot, poses)
         motions, idle = recorded_motions(tree, rates, seen, doubt)
         masses = Masses(tree, model)
         matrix = masses.matrix
@@ -133,8 +132,7 @@ def _evaluated(
             weight = weight - row * (weight[k] * inverse)
             inertia = inertia - np.outer(row, row) * inverse
         values = np.concatenate([inertia[first:, first:].ravel(), weight[first:]])
-        sound = doubt.is_none(values) & closed(tree)
-        return graph.program("motion_dynamics", {"values": values, "sound": select(sound, 1.0, 0.0)})
+        return checked_program("motion_dynamics", tree, values, doubt)
 
     key = repr(
         ("motion_dynamics", rates, seen, mass_pattern(model), geometry.structure(robot), geometry.pattern(robot))

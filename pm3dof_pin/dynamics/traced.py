@@ -21,8 +21,8 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry, masses
 from pm3dof_pin.programs.closed_motions import closed_motions
 from pm3dof_pin.programs.elimination import DROPPED, Doubt, product, projected, samples
-from pm3dof_pin.programs.graph import Graph, select, sqrt
-from pm3dof_pin.programs.loops import closed
+from pm3dof_pin.programs.graph import Graph, sqrt
+from pm3dof_pin.programs.loops import checked_program
 from pm3dof_pin.programs.masses import Masses
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
@@ -159,8 +159,7 @@ def of_drives(
         verify(robot, poses)
         doubt, tree = Doubt(), Tree(Graph(), robot, poses)
         values = {"holding_forces": _holding, "mass_matrix": _inertia}[name](tree, model, doubt)
-        sound = doubt.is_none(values) & closed(tree)
-        return tree.graph.program(name, {"values": values, "sound": select(sound, 1.0, 0.0)})
+        return checked_program(name, tree, values, doubt)
 
     own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.mass_pattern(model))
     key = repr((name, *own, geometry.structure(robot), geometry.pattern(robot)))

@@ -30,9 +30,9 @@ from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.closed_motions import closed_motions
 from pm3dof_pin.programs.derivatives import derivatives
 from pm3dof_pin.programs.elimination import DROPPED, Doubt, eliminate, identity, product, samples, solve_upper, zeros
-from pm3dof_pin.programs.graph import Graph, Scalar, select, sqrt
+from pm3dof_pin.programs.graph import Graph, Scalar, sqrt
 from pm3dof_pin.programs.joints import objects
-from pm3dof_pin.programs.loops import closed
+from pm3dof_pin.programs.loops import checked_program
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
@@ -350,8 +350,7 @@ def _jacobian_program(
     Raises:
         ProgramError: the motions of `by` do not determine those of `of` at the sample poses.
     """
-    graph, doubt = Graph(), Doubt()
-    tree = Tree(graph, robot, poses, _frames(robot, of, by))
+    doubt, tree = Doubt(), Tree(Graph(), robot, poses, _frames(robot, of, by))
     velocities, _ = recorded_motions(tree, by, of, doubt)
     values = product(_rows(tree, of), velocities)
     flat = values.ravel()
@@ -359,8 +358,7 @@ def _jacobian_program(
         rates = np.stack([tree.rate(velocities[:, column]) for column in range(len(by))], axis=-1)
         along = derivatives(values, dict(zip(tree.q, rates, strict=True)))
         flat = np.concatenate([flat, ((along + along.swapaxes(1, 2)) * 0.5).ravel()])
-    sound = doubt.is_none(flat) & closed(tree)
-    return graph.program("jacobian", {"values": flat, "sound": select(sound, 1.0, 0.0)})
+    return checked_program("jacobian", tree, flat, doubt)
 
 
 def recorded_motions(tree: Tree, by: Sequence[Rate], of: Sequence[Rate], doubt: Doubt) -> tuple[Objects, Objects]:

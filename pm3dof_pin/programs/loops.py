@@ -19,9 +19,11 @@ from pm3dof_pin.description.closure_types import ClosureType
 from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.mechanism.closure_wrenches import held_directions
 from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
+from pm3dof_pin.programs.elimination import Doubt
 from pm3dof_pin.programs.graph import Scalar, Truth, cos, is_zero, less, maximum, select, sin, sqrt
 from pm3dof_pin.programs.graph import absolute as magnitude
 from pm3dof_pin.programs.joints import Placement, cross, objects
+from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
 
@@ -148,6 +150,12 @@ def _coupling_equation(tree: Tree, coupling: Coupling) -> Equations:
 def closure_residual(tree: Tree) -> Scalar:
     """Return the largest residual of all closures and couplings, 0 if there are none."""
     return largest_residual(loop_equations(tree))
+
+
+def checked_program(name: str, tree: Tree, values: Objects, doubt: Doubt) -> Program:
+    """Return the program of `values` and of `sound`: 1 if the loops are closed and nothing is in doubt, else 0."""
+    sound = doubt.is_none(values) & closed(tree)
+    return tree.graph.program(name, {"values": values, "sound": select(sound, 1.0, 0.0)})
 
 
 def closed(tree: Tree) -> Truth:

@@ -358,7 +358,7 @@ class _MjcfReader(ElementReader):
     def _geom_mass(self, element: Element, given: Element, body: str) -> pin.Inertia | None:
         place, kind = named(given), element.get("type", "sphere")
         mass = self.number(element, "mass", MASS, place, None)
-        density = self.number(element, "density", NOT_NEGATIVE, place, 1000.0)
+        density = self.number(element, "density", NOT_NEGATIVE, place, 1000.0)  # kg/m^3
         if mass == 0.0 or (mass is None and density == 0.0):
             return None
         shell = element.get("shellinertia") == "true"

@@ -11,7 +11,6 @@ import pinocchio as pin
 
 from pm3dof_pin.typing import Array, Matrix, Vector
 
-_DENSITY = 1000.0  # MuJoCo's default [kg/m^3]
 _STEP = 1e-30  # of derivatives by complex numbers, which have no rounding error
 
 _THOMSEN = 1.6075
