@@ -123,6 +123,14 @@ _DriveStiffness = Annotated[
         help="Stiffness of the drives, felt at their joints: of all, or of those named [N/m, N m/rad].",
     ),
 ]
+_HoldBase = Annotated[
+    bool | None,
+    typer.Option(
+        "--hold-base/--float-base",
+        help="Whether a floating base is held as at home; by default with --drive-stiffness only.",
+        show_default=False,
+    ),
+]
 _XacroArg = Annotated[
     list[str] | None, typer.Option(metavar="NAME:=VALUE", help="Argument of a xacro file; may be repeated.")
 ]
@@ -174,6 +182,7 @@ class RobotOptions:
     tool_frame: _ToolFrame = None
     package_path: _PackagePath = None
     drive_stiffness: _DriveStiffness = None
+    hold_base: _HoldBase = None
     xacro_arg: _XacroArg = None
     lenient: _Lenient = False
 
@@ -210,6 +219,7 @@ class RobotOptions:
             "xacro_args": dict(_xacro_argument(text) for text in self.xacro_arg or ()),
             "lenient": self.lenient,
             "drive_stiffness": numbers_by_name("--drive-stiffness", self.drive_stiffness),
+            "hold_base": self.hold_base,
         }
 
     @property

@@ -385,6 +385,31 @@ class Description:
         """The body that carries all others."""
         return next(body for body in self.bodies if body.name not in self.joint_above)
 
+    @property
+    def floating_base(self) -> Joint | None:
+        """The floating joint between the root and all the joints of the robot, if it has one."""
+        for joint in self.joints_below[self.root.name]:
+            if joint.type == "floating" and all(
+                other.is_fixed or joint in self.joints_to(other.child) for other in self.joints
+            ):
+                return joint
+        return None
+
+    def with_base_held(self, configuration: str = "home") -> Description:
+        """Return the robot with its floating base, if it has one, held where a named configuration has it."""
+        base = self.floating_base
+        if base is None:
+            return self
+        held = self.configurations.get(configuration, {}).get(base.name)
+        placement = base.placement if held is None else Placement.from_se3(base.placement.se3 * pin.XYZQUATToSE3(held))
+        fixed = replace(base, type="fixed", placement=placement)
+        configurations = {
+            name: {joint: value for joint, value in values.items() if joint != base.name}
+            for name, values in self.configurations.items()
+        }
+        joints = tuple(fixed if joint is base else joint for joint in self.joints)
+        return replace(self, joints=joints, configurations=configurations)
+
     def joint(self, name: str, where: str = "") -> Joint:
         """Return a joint by name; JointNotFoundError if there is none."""
         if name not in self.joint_by_name:

@@ -110,7 +110,11 @@ class CartesianCompliance:
         return frozen(strains.T @ strains)
 
     def _message(self, finding: str, directions: Matrix) -> str:
-        return f"frame '{self.frame}' {finding}: {direction_names(directions)}; at q = {listed(self.configuration.q)}"
+        robot = self.configuration.mechanism
+        base = robot.description.floating_base
+        cause = "" if base is None else f"; the base '{base.child}' floats: hold it (--hold-base, hold_base=True)"
+        names = direction_names(directions)
+        return f"frame '{self.frame}' {finding}: {names}{cause}; at q = {listed(self.configuration.q)}"
 
 
 def cartesian_compliance(

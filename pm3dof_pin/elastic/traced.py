@@ -237,7 +237,8 @@ class Roots:
         inverse = solve_upper(triangle, identity(6))
         columns = product(inverse, strains)
         columns = columns[np.argsort(order)]
-        columns[:3] = columns[:3] * self._unit
+        with np.errstate(invalid="ignore"):  # constants, where the frame is free at every pose
+            columns[:3] = columns[:3] * self._unit
         size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
         doubt.note_pivot(6.0 / size)
         return self.noted(columns, doubt)

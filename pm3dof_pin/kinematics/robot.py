@@ -63,6 +63,7 @@ class LoadOptions(TypedDict, total=False):
     xacro_args: Mapping[str, str] | None
     lenient: bool
     drive_stiffness: float | Mapping[str, float] | None
+    hold_base: bool | None
     characteristic_length: float | None
     closure_tolerance: float | None
     engine: Engine
@@ -306,6 +307,7 @@ class Robot(PlacedMechanism):
         lenient: bool = False,
         closures: Iterable[Any] = (),
         drive_stiffness: float | Mapping[str, float] | None = None,
+        hold_base: bool | None = None,
         characteristic_length: float | None = None,
         closure_tolerance: float | None = None,
         engine: Engine = "program",
@@ -329,6 +331,8 @@ class Robot(PlacedMechanism):
                 listed in `robot.description.unread` instead of being refused.
             closures: the loops of a `pinocchio.Model`: closures, or constraint models of Pinocchio.
             drive_stiffness: see :meth:`with_drive_stiffness` [N/m, N m/rad].
+            hold_base: whether a floating base is fixed where the configuration `home` has it, so that the tool's
+                stiffness is that against the base; by default with `drive_stiffness` only. Not for a `pinocchio.Model`.
             characteristic_length: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism` [m].
             closure_tolerance: largest closure error of closed loops, instead of the described one [m, rad].
             engine: see :meth:`with_engine`.
@@ -347,6 +351,7 @@ class Robot(PlacedMechanism):
             package_paths=package_paths,
             xacro_args=xacro_args,
             lenient=lenient,
+            hold_base=drive_stiffness is not None if hold_base is None else hold_base,
             closures=closures,
         )
         if closure_tolerance is not None:

@@ -177,7 +177,9 @@ def require_assembled(configuration: Configuration) -> None:
     mechanism = configuration.mechanism
     tolerance = max(ASSEMBLED_TOLERANCE * mechanism.characteristic_length, mechanism.closure_tolerance)
     if configuration.closure_residual > tolerance:
-        raise InvalidValueError("configuration", configuration, "a configuration with closed loops")
+        problem = f"has its loops open by {configuration.closure_residual:.3g} m or rad"
+        expected = f"closed loops, to {tolerance:.3g}, as of robot.home or robot.assemble(q)"
+        raise InvalidValueError("configuration", problem=problem, expected=expected)
 
 
 def mechanism_of(configuration: Configuration) -> Mechanism:

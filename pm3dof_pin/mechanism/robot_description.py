@@ -16,7 +16,7 @@ from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.readers.mujoco_model import describe_mujoco
 from pm3dof_pin.description.readers.pinocchio_model import closures_of_constraints
 from pm3dof_pin.description.readers.urdf import read_urdf
-from pm3dof_pin.description.robots import RobotFiles, find_robot
+from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.description.xml_file import parse_xml
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.model import UNLIMITED, build_model
@@ -31,9 +31,12 @@ def read_source(
     package_paths: Iterable[str | Path] = (),
     xacro_args: Mapping[str, str] | None = None,
     lenient: bool = False,
+    hold_base: bool = False,
     closures: Iterable[Any] = (),
 ) -> dict[str, Any]:
     """Read what :func:`pm3dof_pin.load` takes into the arguments of a mechanism.
+
+    With `hold_base`, a floating base is fixed where the configuration `home` has it.
 
     Raises:
         InvalidValueError: it is none of these, or options of files are given for what is not read from one.
@@ -44,12 +47,13 @@ def read_source(
     if isinstance(source, (str, Path)):
         if closures := tuple(closures):
             raise InvalidValueError("closures", problem="are for a pinocchio.Model; those of a file stand in it")
-        return _read_description(find_robot(source, package_paths, xacro_args), tool_frame, lenient=lenient)
+        files = find_robot(source, package_paths, xacro_args)
+        return _arguments_of(reading.read_description(files, lenient=lenient), tool_frame, hold_base)
     if given := [name for name, value in (("package_paths", package_paths), ("xacro_args", xacro_args)) if value]:
         problem = f"are for descriptions in files, not for a {type(source).__name__}"
         raise InvalidValueError(given[0], problem=problem)
     if isinstance(source, Description):
-        return _arguments_of(replace(source, tool_frame=tool_frame or source.tool_frame))
+        return _arguments_of(source, tool_frame, hold_base)
     if isinstance(source, pin.Model):
         model = source.copy()
         _free_joints_without_limits(model, (), source.name)
@@ -70,7 +74,7 @@ def read_source(
             expected="the name of a robot, the path of its description, a pinocchio.Model, a yourdfpy.URDF, a "
             "mujoco.MjModel or MjSpec, or a module of robot_descriptions",
         )
-    return _arguments_of(replace(description, tool_frame=tool_frame))
+    return _arguments_of(description, tool_frame, hold_base)
 
 
 def _path_of_module(module: ModuleType) -> Path:
@@ -81,18 +85,12 @@ def _path_of_module(module: ModuleType) -> Path:
     raise InvalidValueError("robot", problem=f"module {module.__name__} has no URDF_PATH or MJCF_PATH")
 
 
-def _read_description(files: RobotFiles, tool_frame: str | None = None, *, lenient: bool = False) -> dict[str, Any]:
-    """Read all files of a robot into the arguments of :class:`~pm3dof_pin.mechanism.mechanism.Mechanism`.
-
-    `tool_frame` replaces the tool frame of the description if given. Raises as
-    :func:`~pm3dof_pin.description.reading.read_description`.
-    """
-    description = reading.read_description(files, lenient=lenient)
-    return _arguments_of(replace(description, tool_frame=tool_frame or description.tool_frame))
-
-
-def _arguments_of(description: Description) -> dict[str, Any]:
-    """Return a description as the arguments of a mechanism."""
+def _arguments_of(description: Description, tool_frame: str | None, hold_base: bool) -> dict[str, Any]:
+    """Return a description, with another tool frame if one is given, as the arguments of a mechanism."""
+    description = replace(description, tool_frame=tool_frame or description.tool_frame)
+    if hold_base and (base := description.floating_base) is not None:
+        _logger.warning("%s: its base '%s' floats, and is held as at home", description.name, base.child)
+        description = description.with_base_held()
     names = (
         *("closures", "couplings", "actuated_joints", "commands", "motion_coordinates", "coordinates", "limit_groups"),
         *("tool_frame", "tool_motions", "springs", "files", "closure_tolerance"),

@@ -14,7 +14,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.readers.pinocchio_model import describe_model
 from pm3dof_pin.description.robots import find_robot, robot_names
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.exceptions import DescriptionError, FreeDirectionError, InvalidValueError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.model import build_model
@@ -185,3 +185,26 @@ def test_every_dialect_of_a_robot_is_the_same_machine(name: str, dialect: str) -
             for each in (robot, original)
         )
         np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+WALKER = """<mujoco model="walker"><worldbody><body name="trunk"><freejoint name="float"/><geom size="0.1"/>
+<body name="arm" pos="0.2 0 0"><joint name="hip" axis="0 0 1"/><geom size="0.1"/><site name="hand" pos="0.5 0 0"/>
+</body></body></worldbody><actuator><motor joint="hip"/></actuator>
+<keyframe><key name="home" qpos="1 2 3 0 0 0 1 0"/></keyframe></mujoco>"""
+
+
+def test_a_floating_base_is_held_for_a_stiffness(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A hinge of stiffness k bends the end of an arm of length L by L^2/k along y; home is turned by pi about z."""
+    path = tmp_path / "walker.xml"
+    path.write_text(WALKER, encoding="utf-8")
+    assert DegreesOfFreedom(pm.load(path).home).count == 7
+    robot = pm.load(path, tool_frame="hand", drive_stiffness=100.0)
+    assert "its base 'trunk' floats" in caplog.text
+    assert DegreesOfFreedom(robot.home).count == 1
+    np.testing.assert_allclose(robot.home.tool_placement.translation, [1.0 - 0.7, 2.0, 3.0], atol=1e-12)
+    expected = np.zeros((6, 6))
+    expected[np.ix_([1, 5], [1, 5])] = np.outer([-0.5, 1.0], [-0.5, 1.0]) / 100.0
+    np.testing.assert_allclose(pm.compliance(robot, robot.home), expected, atol=1e-15)
+    floating = pm.load(path, tool_frame="hand", drive_stiffness=100.0, hold_base=False)
+    with pytest.raises(FreeDirectionError, match="the base 'trunk' floats: hold it"):
+        pm.compliance(floating, floating.home)
