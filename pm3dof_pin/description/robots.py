@@ -6,13 +6,16 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Literal
 
 from pm3dof_pin.description.expand import expand_xacro, is_xacro_trusted
 from pm3dof_pin.description.own_files import package_of
 from pm3dof_pin.description.xml_file import Element, parse_xml, read_root_tag, read_xml
-from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, UnknownRobotError
 from pm3dof_pin.files import read_text
 
 DESCRIPTION_SUFFIX = "_description"
@@ -102,7 +105,8 @@ def find_robot(
     Args:
         name_or_path: one of:
 
-            - a name of :func:`robot_names`, or of a robot of example-robot-data where that is installed;
+            - a name of :func:`robot_names`, or of a robot of example-robot-data or a module of robot_descriptions
+              (`cassie_mj_description`) where these are installed;
             - a URDF `x.urdf`. Its closures file `x.closures.yaml` or `robot.yaml` may be next to it or in `../urdf`,
               its SRDF `x.srdf` next to it or in `../srdf`; without a closures file it is a serial robot;
             - a xacro file that expands to one of these;
@@ -149,7 +153,27 @@ def _existing_path(name_or_path: str | Path) -> Path:
         return Path(name)
     if (example := _example_robot(name)) is not None:
         return example
+    if name.isidentifier() and name.endswith(DESCRIPTION_SUFFIX) and find_spec("robot_descriptions") is not None:
+        return _described_robot(name)
     raise UnknownRobotError(name, robot_names())
+
+
+def _described_robot(name: str) -> Path:
+    """The file of a robot of robot_descriptions, which fetches it when it is first imported."""
+    try:
+        return path_of_module(import_module(f"robot_descriptions.{name}"))
+    except ModuleNotFoundError:
+        raise UnknownRobotError(name, robot_names()) from None
+    except (ImportError, OSError, RuntimeError) as error:
+        raise DescriptionError(name, "robot_descriptions", f"could not fetch it: {error}") from error
+
+
+def path_of_module(module: ModuleType) -> Path:
+    """Return the file that a module of robot_descriptions names; InvalidValueError if it names none."""
+    for attribute in ("URDF_PATH", "MJCF_PATH", "XACRO_PATH"):
+        if path := getattr(module, attribute, None):
+            return Path(path)
+    raise InvalidValueError("robot", problem=f"module {module.__name__} has no URDF_PATH or MJCF_PATH")
 
 
 def example_robot_names() -> list[str]:

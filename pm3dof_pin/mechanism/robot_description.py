@@ -16,7 +16,7 @@ from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.readers.mujoco_model import describe_mujoco
 from pm3dof_pin.description.readers.pinocchio_model import closures_of_constraints
 from pm3dof_pin.description.readers.urdf import read_urdf
-from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.description.robots import find_robot, path_of_module
 from pm3dof_pin.description.xml_file import parse_xml
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.model import UNLIMITED, build_model
@@ -43,7 +43,7 @@ def read_source(
         DescriptionError, JointNotFoundError: as :func:`read_description`.
     """
     if isinstance(source, ModuleType):
-        source = _path_of_module(source)
+        source = path_of_module(source)
     if isinstance(source, (str, Path)):
         if closures := tuple(closures):
             raise InvalidValueError("closures", problem="are for a pinocchio.Model; those of a file stand in it")
@@ -75,14 +75,6 @@ def read_source(
             "mujoco.MjModel or MjSpec, or a module of robot_descriptions",
         )
     return _arguments_of(description, tool_frame, hold_base)
-
-
-def _path_of_module(module: ModuleType) -> Path:
-    """Return the file that a module of robot_descriptions names."""
-    for name in ("URDF_PATH", "MJCF_PATH", "XACRO_PATH"):
-        if path := getattr(module, name, None):
-            return Path(path)
-    raise InvalidValueError("robot", problem=f"module {module.__name__} has no URDF_PATH or MJCF_PATH")
 
 
 def _arguments_of(description: Description, tool_frame: str | None, hold_base: bool) -> dict[str, Any]:

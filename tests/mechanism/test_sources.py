@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import types
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.readers.pinocchio_model import describe_model
 from pm3dof_pin.description.robots import find_robot, robot_names
-from pm3dof_pin.exceptions import DescriptionError, FreeDirectionError, InvalidValueError
+from pm3dof_pin.exceptions import DescriptionError, FreeDirectionError, InvalidValueError, UnknownRobotError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.model import build_model
@@ -100,6 +101,23 @@ def test_a_module_of_robot_descriptions_names_a_file() -> None:
         pm.load(module)
     module.URDF_PATH = str(find_robot("hexapod").urdf)  # type: ignore[attr-defined]
     assert pm.load(module).actuated_joints == pm.load("hexapod").actuated_joints
+
+
+def test_a_robot_of_robot_descriptions_is_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a package of the same form: the real one fetches its robots from the network."""
+    package = tmp_path / "robot_descriptions"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    path = str(find_robot("hexapod").urdf)
+    (package / "six_description.py").write_text(f"URDF_PATH = {path!r}\n", encoding="utf-8")
+    (package / "far_description.py").write_text("raise OSError('no network')\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "robot_descriptions", raising=False)
+    assert pm.load("six_description").actuated_joints == pm.load("hexapod").actuated_joints
+    with pytest.raises(DescriptionError, match="could not fetch it: no network"):
+        pm.load("far_description")
+    with pytest.raises(UnknownRobotError):
+        pm.load("other_description")
 
 
 _HINGE = """<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><origin xyz="{3}" rpy="{4}"/>
