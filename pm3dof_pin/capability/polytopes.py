@@ -110,6 +110,15 @@ class Polytopes:
         """Radius of the greatest ball about the origin inside, shape=(...); negative if the origin is outside."""
         return np.asarray(self.offsets.min(axis=-1))
 
+    def box_share(self, half_widths: ArrayLike) -> Array:
+        """Return how many times a box about the origin fits inside, shape=(...); negative if the origin is outside.
+
+        Args:
+            half_widths: of the box, shape=(..., d).
+        """
+        reach = np.einsum("...md,...d->...m", np.abs(self.normals), np.asarray(half_widths, dtype=float))
+        return np.asarray(_ratio(self.offsets, reach).min(axis=-1))
+
     def extent(self, directions: ArrayLike) -> Array:
         """Return how far directions lead from the origin to the boundary, in multiples of each; NaN if it is outside.
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, require_choice
 from pm3dof_pin.capability.transmission import Transmission
@@ -73,20 +74,23 @@ class SerialModel:
     inertia: Spread  #: of all moving bodies and rotors [kg m^2, kg]
     #: greatest magnitude over the box of an off-diagonal entry of G^T I_m G, relative to the diagonal's geometric mean
     coupling: float
-    torque: Spread | None  #: greatest pure torque [N m, N]; None if efforts are unknown
+    torque: Spread | None  #: greatest pure torque beyond the weight [N m, N]; None if efforts are unknown
+    effort: Spread | None  #: the same, what holds the weight included: the effort limit of a serial model
     unit_torque: Spread  #: the same in multiples of the drives' effort, without gravity
     speed: Spread | None  #: greatest speed [rad/s, m/s]; None if unknown
     gains: Mapping[str, Spread]  #: "kp" and "kd" at the joints [N m/rad, N m s/rad]; empty if none are given
     distance_to_singularity: float  #: least over the box
 
 
-def serial_model(transmission: Transmission, *, kp: float | None = None, kd: float | None = None) -> SerialModel:
+def serial_model(
+    transmission: Transmission, *, kp: ArrayLike | None = None, kd: ArrayLike | None = None
+) -> SerialModel:
     """Reduce the transmission over a grid of the joints to constants; of poses within limits only.
 
     Args:
         transmission: over a grid, shape=(n1, ..., nm), made with `on_failure="nan"`.
-        kp: proportional gain of each drive [N m/rad, N/m].
-        kd: derivative gain of each drive [N m s/rad, N s/m].
+        kp: proportional gains of the drives, shape=(u,) or one for all [N m/rad, N/m].
+        kd: derivative gains of the drives [N m s/rad, N s/m].
 
     Raises:
         UnreachablePoseError: no pose of the grid is within limits.
@@ -118,6 +122,7 @@ def serial_model(transmission: Transmission, *, kp: float | None = None, kd: flo
         inertia=Spread.over(np.einsum("...ii->...i", _at(transmission.inertia, within)), "greatest"),
         coupling=float(np.nan_to_num(off).max(initial=0.0)),
         torque=Spread.over(_at(transmission.pure_torques, within), "least") if known["effort"] else None,
+        effort=Spread.over(_at(transmission.pure_total_torques, within), "least") if known["effort"] else None,
         unit_torque=Spread.over(_at(transmission.unit_pure_torques, within), "least"),
         speed=Spread.over(_at(transmission.pure_speeds, within), "least") if known["speed"] else None,
         gains={

@@ -116,6 +116,12 @@ class Transmission:
         return self._torques(self.effort, -self.weight)
 
     @cached_property
+    def total_torques(self) -> Polytopes:
+        """Torques that the drives can give at the joints, what holds the weight included [N m, N]; errors as above."""
+        self._require_limits("effort", self.effort)
+        return self._torques(self.effort, np.zeros(len(self.joints)))
+
+    @cached_property
     def unit_torques(self) -> Polytopes:
         """Torques at the joints with every drive limited to 1 N m (or N), without gravity."""
         return self._torques(np.ones(len(self.drives)), np.zeros(len(self.joints)))
@@ -134,6 +140,14 @@ class Transmission:
     def pure_torques(self) -> Array:
         """Greatest torque about each joint alone, in the weaker direction, shape=(..., m) [N m, N]."""
         return _pure(self.torques, len(self.joints))
+
+    @cached_property
+    def pure_total_torques(self) -> Array:
+        """Greatest torque about each joint alone, what holds the weight included, shape=(..., m) [N m, N].
+
+        This is the effort limit of a serial model, whose bodies have weight as well.
+        """
+        return _pure(self.total_torques, len(self.joints))
 
     @cached_property
     def unit_pure_torques(self) -> Array:
@@ -261,6 +275,8 @@ def drive_values(robot: Robot, name: str, given: Limit, described: ArrayLike) ->
     """
     drives = robot.actuated_joints
     values = np.array(described, dtype=float)
+    if name != "armature":
+        values[values == 0.0] = np.inf  # in descriptions, 0 stands for unknown
     if isinstance(given, Mapping):
         for drive, value in given.items():
             if drive not in drives:
@@ -272,6 +288,18 @@ def drive_values(robot: Robot, name: str, given: Limit, described: ArrayLike) ->
     if not (values >= 0.0).all():
         raise InvalidValueError(name, values.tolist(), "no negative numbers")
     return frozen(np.where(values < _UNLIMITED, values, np.inf))
+
+
+def described_gains(robot: Robot) -> dict[str, Vector | None]:
+    """Return the gains "kp" and "kd" at the driven joints, shape=(u,), as described; None if a drive has none."""
+    by_joint = {drive.joint: drive for drive in robot.description.drives if drive.kind != "motor"}
+    drives = [by_joint[name] for name in robot.actuated_joints if name in by_joint]
+    found: dict[str, Vector | None] = {"kp": None, "kd": None}
+    for name, key in (("kp", "proportional_gain"), ("kd", "derivative_gain")):
+        gains = [drive.gear**2 * getattr(drive, key) for drive in drives if getattr(drive, key) is not None]
+        if gains and len(gains) == len(robot.actuated_joints):
+            found[name] = np.array(gains)
+    return found
 
 
 def _pure(polytopes: Polytopes, count: int) -> Array:

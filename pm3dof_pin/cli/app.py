@@ -40,13 +40,25 @@ COMMANDS = {
     "calibrate": ("calibrate", "Calibrate a machine from measurements"),
     "compensate": ("compensate", "Commands that take a calibrated machine to a pose"),
     "export": ("export", "Files for MuJoCo, Drake, SDFormat, ROS and others"),
+    "export serial": ("export_serial", "A robot without its loops, and the numbers to type into it"),
     "convert": ("convert", "A robot in another dialect, and what it does not say"),
     "view": ("view", "The robot in a browser: move it, watch its stiffness"),
 }
-"""For each command: its module in pm3dof_pin.cli (the function has the command's name) and its line in the list."""
+"""By command, of one word or two: its module in pm3dof_pin.cli (the function has its name); its line in the list."""
 
 # -15 is a number for these, and a misspelt option an argument that is not a number
-_WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view", "transmission", "capability"}
+_WITH_POSE = {
+    "ik",
+    "fk",
+    "stiffness",
+    "statics",
+    "modes",
+    "compensate",
+    "view",
+    "transmission",
+    "capability",
+    "export serial",
+}
 
 
 class _Commands(TyperGroup):
@@ -60,14 +72,20 @@ class _Commands(TyperGroup):
         """Return a command with its line in the list, which is all that the help and completion of names need."""
         return TyperCommand(cmd_name, short_help=COMMANDS[cmd_name][1]) if cmd_name in COMMANDS else None
 
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Return completions of one word."""
+        return [item for item in super().shell_complete(ctx, incomplete) if " " not in item.value]
+
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the name, the command itself, and its arguments."""
+        if " ".join(args[:2]) in COMMANDS:
+            args = [" ".join(args[:2]), *args[2:]]
         name, command, arguments = super().resolve_command(ctx, args)
         return name, command and _command(command.name or ""), arguments
 
 
 def _command(name: str) -> Any:
-    function = getattr(import_module(f"pm3dof_pin.cli.{COMMANDS[name][0]}"), name.replace("-", "_"))
+    function = getattr(import_module(f"pm3dof_pin.cli.{COMMANDS[name][0]}"), name.replace("-", "_").replace(" ", "_"))
     alone = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     settings = {"ignore_unknown_options": True} if name in _WITH_POSE else None
     alone.command(name, cls=RepeatableCommand, context_settings=settings)(with_groups(function))

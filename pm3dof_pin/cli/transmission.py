@@ -2,77 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.capability.serial_model import SerialModel, Spread, serial_model
 from pm3dof_pin.capability.table import write_tables
-from pm3dof_pin.capability.transmission import Transmission, held_outside, joint_driven
-from pm3dof_pin.capability.transmission import transmission as compute
-from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_grid
-from pm3dof_pin.cli.options import (
-    Json,
-    Payload,
-    PlaceOptions,
-    RobotOptions,
-    finite_number,
-    numbers_by_name,
-    payloads_of,
-)
+from pm3dof_pin.capability.transmission import Transmission
+from pm3dof_pin.cli.options import Json, PlaceOptions, RobotOptions
 from pm3dof_pin.cli.output import fixed, message, print_result, table_lines
 from pm3dof_pin.cli.poses import place
+from pm3dof_pin.cli.transmission_options import TransmissionOptions
 from pm3dof_pin.description.coordinates import shown_in
 from pm3dof_pin.typing import Array
-
-_POINTS = 21
-
-_Limits = "N|JOINT=N,.."
-_Over = Annotated[
-    list[CoordinateRange] | None,
-    typer.Option(
-        "--over",
-        metavar="NAME FIRST LAST COUNT",
-        parser=CoordinateRange.parse,
-        help="Values of a joint [deg, m]; may be repeated. By default each joint's range.",
-    ),
-]
 
 
 def transmission(
     which: RobotOptions,
     chosen: PlaceOptions,
-    joints: Annotated[
-        str | None, typer.Option(metavar="A,B", help="Joints of the serial model; the robot's coordinates by default.")
-    ] = None,
-    drives: Annotated[
-        str | None, typer.Option(metavar="A,B", help="Driven joints; the description's by default.")
-    ] = None,
-    subtree: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Only what this link carries; all other joints are held at home.")
-    ] = None,
-    over: _Over = None,
-    effort: Annotated[
-        str | None,
-        typer.Option(
-            metavar="N|JOINT=N,..", help="Greatest effort of the drives [N m, N]; the description's by default."
-        ),
-    ] = None,
-    speed: Annotated[
-        str | None,
-        typer.Option(
-            metavar="N|JOINT=N,..", help="Greatest speed of the drives [rad/s, m/s]; the description's by default."
-        ),
-    ] = None,
-    armature: Annotated[
-        str | None,
-        typer.Option(metavar=_Limits, help="Inertia of the rotors at the driven joints [kg m^2, kg]."),
-    ] = None,
-    gains: Annotated[str | None, typer.Option(metavar="KP,KD", help="Gains of each drive.")] = None,
-    payload: Payload = 0.0,
+    options: TransmissionOptions,
     out: Annotated[Path | None, typer.Option(help="Folder for the table over the box: CSV and NetCDF.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -82,24 +33,12 @@ def transmission(
     box of --over: the range of each, and the constant that is least wrong. Limits that are unknown are left out, and
     torques given in multiples of the drives' effort.
     """
-    robot = which.load()
-    if subtree is not None:
-        robot = held_outside(robot, subtree)
-    robot = joint_driven(robot, _names(joints), _names(drives))
-    limits: Any = {
-        "effort": numbers_by_name("--effort", effort),
-        "speed": numbers_by_name("--speed", speed),
-        "armature": numbers_by_name("--armature", armature),
-        "payloads": payloads_of(robot, payload),
-    }
-    kp, kd = _gains(gains)
-    pose = place(robot, chosen)
-    at = compute(robot, pose, **limits)
-    ranges = over or declared_ranges(robot, robot.coordinates, [_POINTS] * len(robot.coordinates))
-    poses = robot.solve(robot_grid(robot, ranges), on_failure="nan")
-    box = compute(robot, poses, on_failure="nan", **limits)
-    model = serial_model(box, kp=kp, kd=kd)
-    result = {"robot": robot.name} | _transmission_result(at, kp=kp, kd=kd) | {"box": _serial_model_result(model)}
+    robot = options.part(which.load())
+    gains = options.gains_of(robot)
+    at = options.at(place(robot, chosen))
+    box = options.box(robot)
+    model = serial_model(box, **gains)
+    result = {"robot": robot.name} | _transmission_result(at, **gains) | {"box": _serial_model_result(model)}
     files = []
     if out is not None:
         files = write_tables(box, out)
@@ -109,7 +48,9 @@ def transmission(
         message(f"pm3dof: {' and '.join(unknown)}: not described; results that need them are left out")
 
 
-def _transmission_result(at: Transmission, *, kp: float | None = None, kd: float | None = None) -> dict[str, Any]:
+def _transmission_result(
+    at: Transmission, *, kp: ArrayLike | None = None, kd: ArrayLike | None = None
+) -> dict[str, Any]:
     """Return the transmission at one pose for JSON; keys end in their unit."""
     result: dict[str, Any] = {
         "joints": at.joints,
@@ -174,6 +115,7 @@ def _quantities(model: SerialModel) -> dict[str, tuple[str, tuple[str, str], Spr
         "inertia_kg_m2": ("inertia with links", ("kg", "kg m²"), model.inertia),
         "greatest_pure_torque_by_drive_effort": ("torque by a drive's effort", ("", ""), model.unit_torque),
         "greatest_pure_torque_N_m": ("torque beyond the weight", ("N", "N m"), model.torque),
+        "effort_limit_N_m": ("torque, weight included", ("N", "N m"), model.effort),
         "greatest_pure_speed_rad_s": ("speed", ("m/s", "rad/s"), model.speed),
         "joint_stiffness_N_m_rad": ("kp", ("N/m", "N m/rad"), model.gains.get("kp")),
         "joint_damping_N_m_s_rad": ("kd", ("N s/m", "N m s/rad"), model.gains.get("kd")),
@@ -221,14 +163,3 @@ def _box_lines(model: SerialModel) -> list[str]:
     if model.coupling:
         lines.append(f"rotors couple the joints by up to {100.0 * model.coupling:.0f} % of their own inertia")
     return lines
-
-
-def _names(text: str | None) -> list[str]:
-    return [name.strip() for name in (text or "").split(",") if name.strip()]
-
-
-def _gains(text: str | None) -> tuple[float | None, float | None]:
-    numbers: Sequence[float] = [finite_number(entry) for entry in _names(text)]
-    if len(numbers) not in (0, 2):
-        raise typer.BadParameter(f"--gains {text}: expected KP,KD")
-    return (numbers[0], numbers[1]) if numbers else (None, None)

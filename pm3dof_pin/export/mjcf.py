@@ -12,6 +12,7 @@ import pinocchio as pin
 from pm3dof_pin.description.couplings import MAX_DEGREE, Coupling
 from pm3dof_pin.description.description import IDENTITY, Body, Drive, Inertial, Joint, Placement, Shape
 from pm3dof_pin.description.inertia_checks import inertia_matrix
+from pm3dof_pin.description.readers.elements import free_name
 from pm3dof_pin.export.robot_document import WORLD, RobotDocument, unit_axis
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
@@ -27,8 +28,8 @@ _SITE = "{}_site"
 _GAINS: dict[str, tuple[str, ...]] = {"motor": (), "position": ("kp", "kv"), "velocity": ("kv",)}
 
 
-def mjcf_text(robot: RobotDocument) -> str:
-    """Write a robot as MJCF.
+def mjcf_text(robot: RobotDocument, banner: str = _BANNER) -> str:
+    """Write a robot as MJCF, with a banner in which `{name}` stands for its name.
 
     Each link becomes a body of its name, and joints keep their names and coordinates, so q is as in the URDF. The
     frames of loop closures and the tool frame are also sites, `<frame>_site`: a `connect` (3d) or `weld` (6d) between
@@ -43,7 +44,7 @@ def mjcf_text(robot: RobotDocument) -> str:
         ConvergenceError: the loops do not close near the home configuration.
     """
     complete = robot.with_moving_mass("MuJoCo").with_meshes_of(MESH_KINDS)
-    return document_text(_Writer(complete).document(), _BANNER.format(name=robot.name))
+    return document_text(_Writer(complete).document(), banner.replace("{name}", robot.name))
 
 
 class _Writer:
@@ -104,6 +105,10 @@ class _Writer:
             above = self._robot.description.joint_above.get(frame)
         return frame
 
+    def _body(self, link: str) -> str:
+        """Name of the body of a link: `world` is reserved by MuJoCo."""
+        return free_name("world_link", self._robot.description.body_by_name) if link == WORLD else link
+
     def document(self) -> Element:
         robot = self._robot
         root = Element("mujoco", model=robot.name)
@@ -113,7 +118,7 @@ class _Writer:
         SubElement(root, "option", timestep=number_text(_STEP), integrator="implicitfast", tolerance="1e-12")
         self._defaults(SubElement(root, "default"))
         self._assets(root)
-        base = SubElement(SubElement(root, "worldbody"), "body", name=_body(robot.description.root.name))
+        base = SubElement(SubElement(root, "worldbody"), "body", name=self._body(robot.description.root.name))
         self._fill(base, robot.description.root, None)
         self._exclusions(root)
         self._equalities(root)
@@ -188,7 +193,7 @@ class _Writer:
         if self._robot.untouchable:
             contact = SubElement(root, "contact")
             for one, other in self._robot.untouchable:
-                SubElement(contact, "exclude", body1=_body(one), body2=_body(other))
+                SubElement(contact, "exclude", body1=self._body(one), body2=self._body(other))
 
     def _equalities(self, root: Element) -> None:
         couplings = self._robot.mechanism.couplings
@@ -239,11 +244,6 @@ class _Writer:
             for name, configuration in self._robot.named_configurations().items():
                 positions = [configuration.joint_position(joint.name) for joint in self._joints]
                 SubElement(keyframe, "key", name=name, qpos=numbers_text(positions))
-
-
-def _body(link: str) -> str:
-    """Name of the body of a link: `world` is reserved by MuJoCo."""
-    return "world_link" if link == WORLD else link
 
 
 def _inertial(inertial: Inertial) -> dict[str, str]:

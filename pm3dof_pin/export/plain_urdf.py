@@ -14,10 +14,16 @@ from pm3dof_pin.export.xml_text import document_text
 _BANNER = "The URDF of {}, its meshes where `pm3dof export` puts them. Generated: edit the original."
 
 
-def description_texts(robot: RobotDocument, mesh_prefix: str = "") -> dict[str, str]:
-    """Return URDF, closures file, error file and SRDF, by name; names of meshes begin with a prefix."""
+def description_texts(robot: RobotDocument, mesh_prefix: str = "", banner: str | None = None) -> dict[str, str]:
+    """Return URDF, closures file, error file and SRDF, by name; names of meshes begin with a prefix.
+
+    With a banner, the URDF is written anew under it.
+    """
     texts = urdf_files(robot.described, floating=False, own_meshes=True)
-    texts[".urdf"] = _with_meshes(robot, texts[".urdf"], mesh_prefix)
+    if banner is None:
+        texts[".urdf"] = _with_meshes(robot, texts[".urdf"], mesh_prefix)
+    else:
+        texts[".urdf"] = document_text(_element(robot, texts[".urdf"], mesh_prefix), banner)
     if (tool_frame := robot.mechanism.tool_frame) is not None:
         texts[CLOSURES_SUFFIX] = _with_tool_frame(robot, texts.get(CLOSURES_SUFFIX), tool_frame)
     order = (".urdf", CLOSURES_SUFFIX, ".errors.yaml", ".srdf")

@@ -215,6 +215,15 @@ def read_robot(
     robot = Robot.load(name_or_path, **options)
     if robot.files is None:
         raise DescriptionError(robot.source, "files", "expected a robot that was read from files")
+    return document_of(robot, robot.files, meshes=meshes)
+
+
+def document_of(robot: Robot, files: RobotFiles, *, meshes: bool = True) -> RobotDocument:
+    """Prepare a robot for export; `files` are those that name its meshes.
+
+    Raises:
+        DescriptionError: a mesh file is missing.
+    """
     own = {name: getattr(robot, name) for name in ("actuated_joints", "commands", "springs", "tool_frame")}
     described = replace(robot.description, **own)
     simple = with_simple_joints(described, floating=False)
@@ -228,8 +237,8 @@ def read_robot(
     if not meshes:
         description = replace(description, bodies=tuple(map(_without_meshes, description.bodies)))
     shapes = [shape for body in description.bodies for shape in (*body.visuals, *body.collisions)]
-    found = Meshes.from_urdf(robot.files, [shape.mesh for shape in shapes if shape.kind == "mesh"])
-    return RobotDocument(robot.files, description, described, mechanism, found)
+    found = Meshes.from_urdf(files, [shape.mesh for shape in shapes if shape.kind == "mesh"])
+    return RobotDocument(files, description, described, mechanism, found)
 
 
 def _without_meshes(body: Body) -> Body:

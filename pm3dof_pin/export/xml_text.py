@@ -19,6 +19,7 @@ def number_text(number: float) -> str:
 
 
 def document_text(root: ElementTree.Element, banner: str) -> str:
-    """Write an XML element as an indented document with a banner."""
+    """Write an XML element as an indented document with a banner, of one line or several."""
     ElementTree.indent(root, "  ")
-    return f'<?xml version="1.0"?>\n<!-- {comment_text(banner)} -->\n{ElementTree.tostring(root, encoding="unicode")}\n'
+    comment = "\n".join(map(comment_text, banner.splitlines()))
+    return f'<?xml version="1.0"?>\n<!-- {comment} -->\n{ElementTree.tostring(root, encoding="unicode")}\n'

@@ -1,0 +1,155 @@
+"""Serial models of closed robots: masses and motions against the closed robot in MuJoCo, and files read back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pm3dof_pin as pm
+from pm3dof_pin.capability.mapping_fit import fit_mapping
+from pm3dof_pin.capability.transmission import joint_driven, transmission
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.export.serial import serial_tree
+
+Answer = Callable[..., Any]
+
+_MACHINES = Path(__file__).parents[1] / "machines"
+_ANKLE = ("--robot", str(_MACHINES / "ankle" / "ankle.xml"), "--joints", "pitch,roll")
+_BOX = ("--over", "pitch", "-20", "20", "9", "--over", "roll", "-10", "10", "9")
+
+
+def _full_mass(mujoco: Any, model: Any, data: Any) -> Any:
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    return mass
+
+
+def test_armature_makes_up_the_closed_robots_inertia(answer: Answer, tmp_path: Path) -> None:
+    """In MuJoCo, both models have the same inertia about each joint alone where the constants are taken."""
+    mujoco = pytest.importorskip("mujoco")
+    answer("export", "serial", "8", "-5", *_ANKLE, *_BOX, "--out", str(tmp_path))
+    robot = joint_driven(pm.load(_ANKLE[1]), ["pitch", "roll"])
+    pose = robot.solve(np.radians([8.0, -5.0]))
+    closed = mujoco.MjModel.from_xml_path(_ANKLE[1])
+    data = mujoco.MjData(closed)
+    for name in list(robot.model.names)[1:]:
+        data.qpos[closed.joint(name).qposadr[0]] = robot.single_joint(name).coordinate(pose.q)
+    mujoco.mj_forward(closed, data)
+    rows = data.efc_J.reshape(data.nefc, closed.nv)[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+    null = np.linalg.svd(rows)[2][6:].T
+    motions = null @ np.linalg.inv(null[[closed.joint(name).dofadr[0] for name in ("pitch", "roll")]])
+    expected = np.diag(motions.T @ _full_mass(mujoco, closed, data) @ motions)
+
+    serial = mujoco.MjModel.from_xml_path(str(tmp_path / "ankle_serial.xml"))
+    assert [serial.joint(k).name for k in range(serial.njnt)] == ["pitch", "roll"]
+    data = mujoco.MjData(serial)
+    data.qpos[:] = np.radians([8.0, -5.0])
+    mujoco.mj_forward(serial, data)
+    np.testing.assert_allclose(np.diag(_full_mass(mujoco, serial, data)), expected, rtol=1e-9)
+    assert serial.body_subtreemass[0] == pytest.approx(closed.body_subtreemass[0], rel=1e-12)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_simulated_motions_differ_by_what_is_said(answer: Answer, tmp_path: Path, joint: int) -> None:
+    """Under the same torque the angle differs by no more than the inertia does over the box, without gravity."""
+    mujoco = pytest.importorskip("mujoco")
+    box = ("--over", "pitch", "-4", "4", "9", "--over", "roll", "-4", "4", "9")
+    answer("export", "serial", *_ANKLE, *box, "--out", str(tmp_path))
+    inertia = answer("transmission", *_ANKLE, *box)["box"]["inertia_kg_m2"][("pitch", "roll")[joint]]
+    torque = np.array([0.0, 0.0])
+    torque[joint] = 1.0
+    angles = {}
+    for kind in ("closed", "serial"):
+        model = mujoco.MjModel.from_xml_path(str(tmp_path / f"ankle_{kind}.xml"))
+        model.opt.gravity[:] = 0.0
+        data = mujoco.MjData(model)
+        for _ in range(60):  # 30 ms, up to some 3 degrees
+            for k, name in enumerate(("pitch", "roll")):
+                data.qfrc_applied[model.joint(name).dofadr[0]] = torque[k]
+            mujoco.mj_step(model, data)
+        angles[kind] = data.qpos[model.joint(("pitch", "roll")[joint]).qposadr[0]]
+    assert np.radians(0.3) < angles["closed"] < np.radians(4.0)
+    typed = 2 * inertia["least"] * inertia["greatest"] / (inertia["least"] + inertia["greatest"])
+    ratios = sorted(typed / inertia[end] for end in ("greatest", "least"))
+    assert ratios[0] < angles["closed"] / angles["serial"] < ratios[1]
+    assert ratios[1] / ratios[0] < 1.4
+
+
+def test_files_are_read_back(answer: Answer, tmp_path: Path) -> None:
+    limits = ("--effort", "40", "--speed", "12", "--gains", "50,2")
+    result = answer("export", "serial", *_ANKLE, *_BOX, *limits, "--worst", "--out", str(tmp_path))
+    for file in ("ankle_serial.xml", "urdf/ankle_serial.urdf"):
+        robot = pm.load(tmp_path / file)
+        assert not robot.closures
+        assert robot.actuated_joints == ("pitch", "roll")
+        for k, name in enumerate(("pitch", "roll")):
+            joint = robot.description.joint(name)
+            assert [joint.lower, joint.upper] == pytest.approx(np.radians([[-20, -10][k], [20, 10][k]]))
+            if file.endswith(".urdf"):
+                assert (joint.effort, joint.velocity) == (result["effort"]["value"][k], result["velocity"]["value"][k])
+            else:
+                (drive,) = (drive for drive in robot.description.drives if drive.joint == name)
+                assert joint.armature == result["armature"]["value"][k] == result["armature"]["greatest"][k]
+                assert (drive.proportional_gain, drive.derivative_gain) == (
+                    result["kp"]["value"][k],
+                    result["kd"]["value"][k],
+                )
+        assert "off by up to" in (tmp_path / file).read_text()
+    assert json.loads((tmp_path / "ankle_serial.json").read_text())["joints"] == ["pitch", "roll"]
+    assert len(pm.load(tmp_path / "ankle_closed.xml").closures) == 2
+
+
+def test_all_joints_at_once_are_within_the_drives_limits(answer: Answer, tmp_path: Path) -> None:
+    result = answer("export", "serial", *_ANKLE, *_BOX, "--effort", "40", "--worst", "--out", str(tmp_path))
+    robot = joint_driven(pm.load(_ANKLE[1]), ["pitch", "roll"])
+    grid = robot.grid(pitch=(-np.radians(20), np.radians(20), 9), roll=(-np.radians(10), np.radians(10), 9))
+    G = pm.jacobian(robot, robot.solve(grid), of="commands", by="coordinates").values
+    corners = np.array([[a, b] for a in (-1, 1) for b in (-1, 1)]) * result["effort"]["value"]
+    drives = np.linalg.solve(G.swapaxes(-1, -2)[..., None, :, :], corners[..., None])[..., 0]
+    assert 40.0 / np.abs(drives).max() == pytest.approx(result["together"]["effort"], rel=1e-9)
+
+
+def test_one_leg_of_a_walker(answer: Answer, tmp_path: Path) -> None:
+    """Other loops stay, and a second export opens those of the other leg."""
+    robot = str(_MACHINES / "walker" / "walker.xml")
+    for side in ("left", "right"):
+        joints = [f"{side}_ankle_pitch", f"{side}_ankle_roll"]
+        over = [word for joint in joints for word in ("--over", joint, "-8", "8", "5")]
+        options = ["--subtree", f"{side}_shin", "--joints", ",".join(joints), *over, "--out", str(tmp_path / side)]
+        answer("export", "serial", "--robot", robot, *options)
+        robot = str(next((tmp_path / side).glob("*_serial.xml")))
+        assert len(pm.load(robot).closures) == {"left": 2, "right": 0}[side]
+    assert set(joints) < set(pm.load(robot).actuated_joints)
+
+
+def test_polynomials_of_the_mapping() -> None:
+    robot = joint_driven(pm.load(_ANKLE[1]), ["pitch", "roll"])
+    grid = robot.grid(pitch=(-0.3, 0.3, 17), roll=(-0.15, 0.15, 17))
+    box = transmission(robot, robot.solve(grid, on_failure="nan"), on_failure="nan")
+    worst = [fit_mapping(box, degree).worst.max() for degree in (1, 3, 5)]
+    assert worst[0] > 5.0 * worst[1] > 10.0 * worst[2]
+    values = np.random.default_rng(3).uniform([-0.3, -0.15], [0.3, 0.15], (300, 2))
+    fit = fit_mapping(box, 5)
+    errors = np.abs(fit.commands(values) - robot.solve(values).commands).max(axis=0)
+    assert (errors < 1.05 * fit.worst).all()
+    with pytest.raises(InvalidValueError, match="degree"):
+        fit_mapping(box, 0)
+
+
+def test_what_does_not_work_is_named(run: Answer, tmp_path: Path) -> None:
+    out = ("--out", str(tmp_path))
+    both = run("export", "serial", *_ANKLE, "--worst", "--least-wrong", *out)
+    assert both.returncode == 2
+    assert "one of --worst and --least-wrong" in both.stderr
+    tool = run("export", "serial", "--robot", "linear_delta", *out)
+    assert tool.returncode == 1
+    assert "--joints" in tool.stderr
+    ankle = joint_driven(pm.load(_ANKLE[1], tool_frame="sole"), ["left_motor", "right_motor"])
+    with pytest.raises(InvalidValueError, match=r"sole.*pitch"):
+        serial_tree(ankle, ankle)
+    assert not list(tmp_path.iterdir())
