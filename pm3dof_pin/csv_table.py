@@ -24,9 +24,11 @@ logger = logging.getLogger(__name__)
 _UNITS = {
     "mm": ("m", 1e-3),
     "um": ("m", 1e-6),
+    "in": ("m", 0.0254),
     "deg": ("rad", np.pi / 180.0),
     "mrad": ("rad", 1e-3),
     "urad": ("rad", 1e-6),
+    "ms": ("s", 1e-3),
 }
 _CONDITIONS = ("temperature_", "load_")
 
@@ -50,7 +52,14 @@ class CsvTable:
     """
 
     def __init__(
-        self, path: Path, needed: Sequence[str], *, headings: Sequence[str] = (), words: Collection[str] = ()
+        self,
+        path: Path,
+        needed: Sequence[str],
+        *,
+        headings: Sequence[str] = (),
+        words: Collection[str] = (),
+        text: str | None = None,
+        added: int = 0,
     ) -> None:
         """Read a file; without the columns `needed` it is rejected at once.
 
@@ -59,6 +68,8 @@ class CsvTable:
             needed: columns in metres and radians that it must have.
             headings: those of a file whose first line has numbers, in which blanks may separate columns.
             words: columns of words, which are not read.
+            text: the text of the file, if it was read before.
+            added: number of lines at its beginning that the file does not have.
 
         Raises:
             MeasurementError: it is unreadable, a column has no name, is duplicated or missing, or a cell is not a
@@ -67,7 +78,7 @@ class CsvTable:
         self.path = path
         self.warnings: list[str] = []
         try:
-            text = read_text(path)
+            text = read_text(path) if text is None else text
         except DescriptionError as error:
             raise MeasurementError(path, error.expected) from error
         # an empty line for a comment keeps the numbers of the lines
@@ -86,7 +97,7 @@ class CsvTable:
                 header = next((cells for cells in reader if any(cells)), [])
                 headings = [without_apostrophe(name.strip()) for name in header]
             self.header, factors = self._in_si(headings)
-            self.header_line = max(reader.line_num, 1)
+            self.header_line = max(reader.line_num - added, 1)
             self._check_header(needed, self.header_line)
             read = [(k, name) for k, name in enumerate(self.header) if name not in words]
             for cells in reader:
@@ -95,11 +106,11 @@ class CsvTable:
                 if len(cells) != len(self.header):
                     what = f"numbers: {', '.join(headings)}" if headless else "as in the header"
                     problem = f"{len(cells)} cells, expected {len(self.header)} {what}"
-                    raise MeasurementError(path, problem, [reader.line_num])
-                self.lines.append(reader.line_num)
+                    raise MeasurementError(path, problem, [reader.line_num - added])
+                self.lines.append(reader.line_num - added)
                 rows.append([self._number(cells[k], name) for k, name in read])
         except csv.Error as error:
-            raise MeasurementError(path, f"expected CSV ({error})", [reader.line_num]) from error
+            raise MeasurementError(path, f"expected CSV ({error})", [reader.line_num - added]) from error
         table, kept = np.array(rows, dtype=float).reshape(len(rows), len(read)), [k for k, _ in read]
         self.written: dict[str, Array] = {headings[k]: column for k, column in zip(kept, table.T, strict=True)}
         self.columns: dict[str, Array] = dict(zip((n for _, n in read), (table * factors[kept]).T, strict=True))

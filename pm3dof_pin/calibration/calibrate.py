@@ -32,6 +32,7 @@ from pm3dof_pin.exceptions import (
     UnreachablePoseError,
 )
 from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.measuring.export_file import ColumnMap
 from pm3dof_pin.measuring.measurement_file import TARGET_POINT_SIGMA, read_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import OnFailure
@@ -107,6 +108,7 @@ def calibrate(
     own_frame: bool = False,
     target_sigma: float = TARGET_POINT_SIGMA,
     tool_point_sigma: float = 0.0,
+    columns: ColumnMap | Path | str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Calibration:
     """Calibrate a machine from measurements, judge the result, and refuse one that would be wrong for the machine.
@@ -136,6 +138,7 @@ def calibrate(
         own_frame: for files: whether the instrument measured in its own frame.
         target_sigma: for files: standard deviation of the target positions, per coordinate [m]; 0 if known exactly.
         tool_point_sigma: for files: the same for the tool point, if that is the point seen [m].
+        columns: for files: what they do not say of themselves; see :mod:`~pm3dof_pin.measuring.export_file`.
         progress: called with the number of steps done and the total.
 
     Raises:
@@ -151,7 +154,12 @@ def calibrate(
     def read(each: Measurements | Path | str, name: str) -> Measurements:
         if isinstance(each, (str, Path)):
             return read_measurements(
-                each, errors.robot, own_frame=own_frame, target_sigma=target_sigma, tool_point_sigma=tool_point_sigma
+                each,
+                errors.robot,
+                own_frame=own_frame,
+                target_sigma=target_sigma,
+                tool_point_sigma=tool_point_sigma,
+                columns=columns,
             )
         require_kind(name, each, Measurements, "pm.read_measurements")
         return each

@@ -37,6 +37,7 @@ COMMANDS = {
     "error-map": ("error_map", "Tool errors caused by errors of the parts"),
     "calibration-plan": ("calibration_plan", "Poses to measure for a calibration"),
     "measure": ("measure", "Simulated measurements of a machine with errors"),
+    "measurements": ("measurements", "Check a file of measurements, or join two"),
     "calibrate": ("calibrate", "Calibrate a machine from measurements"),
     "compensate": ("compensate", "Commands that take a calibrated machine to a pose"),
     "export": ("export", "Files for MuJoCo, Drake, SDFormat, ROS and others"),

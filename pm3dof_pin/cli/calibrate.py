@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
-from pm3dof_pin.cli.options import Json, RobotErrorsOptions
+from pm3dof_pin.cli.options import ColumnsOf, Json, RobotErrorsOptions
 from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import PictureFormat, save
 
@@ -32,6 +32,7 @@ def calibrate(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Measurements (CSV).")],
     out: Annotated[Path, typer.Option(help="Output folder; an earlier calibration in it is replaced.")],
     which: RobotErrorsOptions,
+    columns: ColumnsOf = None,
     method: Annotated[
         MethodName,
         typer.Option(help="lm: geometric parameters; nn, gp: a learned correction; lm+nn, lm+gp: both."),
@@ -89,6 +90,7 @@ def calibrate(
             own_frame=own_frame,
             target_sigma=target_sigma if target_offsets == "estimate" else 0.0,
             tool_point_sigma=tool_point_sigma,
+            columns=columns,
             progress=lambda done, of: progress(done, of + 1),
         )
         folder = calibration.save(out)

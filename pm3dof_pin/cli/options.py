@@ -51,6 +51,12 @@ def _finite(number: float | None) -> float | None:
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to standard output.")]
+ColumnsOf = Annotated[
+    str | None,
+    typer.Option(
+        "--columns", metavar="FILE|PROFILE", help="What the file does not say of itself: a YAML file, or a profile."
+    ),
+]
 Out = Annotated[Path, typer.Option(help="Output folder, created if missing.")]
 Payload = Annotated[float, typer.Option(min=0.0, metavar="KG", help="Mass at the tool point [kg].", callback=_finite)]
 Wrench = Annotated[

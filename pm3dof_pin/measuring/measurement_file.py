@@ -17,6 +17,8 @@ from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.pose_file import UNIT_QUATERNION
 from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.measuring.angles import angle_columns, orders_of, quaternions_of_angles, replace_angles
+from pm3dof_pin.measuring.export_file import ColumnMap, Export
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO, Instrument
 from pm3dof_pin.measuring.measurements import Measurements, joint_coordinates
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, fitted_sphere, register
@@ -41,6 +43,7 @@ _MIN_TOUCHES = 4  # of a sphere of unknown centre
 _BEYOND_LIMITS = 0.2  # of a joint's range
 _FAR_OFF = 0.05  # of the distance from the base to the tool: more than any tolerance explains
 _FAR_POINTS = 30.0  # times the machine's size
+_CLEARLY = 3.0  # times nearer than other orders of angles
 _TURNED = 0.1  # [rad]: more than any tolerance explains
 _THOUSANDFOLD = 300.0
 _FAR_READING = 6.0  # times the standard deviation of an encoder's zero
@@ -128,7 +131,7 @@ def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
         MeasurementError: the file is unreadable, a column is missing, a cell is not a number, no row is left, or a
             temperature or load is missing in some row.
     """
-    table = CsvTable(Path(path), command_columns(robot))
+    table = _table(Path(path), robot, None)
     table.keep(np.asarray(np.isfinite(table.matrix(command_columns(robot))).all(axis=1)))
     return _commands(table, robot), table.conditions()
 
@@ -141,6 +144,7 @@ def read_measurements(
     own_frame: bool = False,
     target_sigma: float = TARGET_POINT_SIGMA,
     tool_point_sigma: float = 0.0,
+    columns: ColumnMap | Path | str | None = None,
 ) -> Measurements:
     """Read and check a CSV file of measurements.
 
@@ -149,7 +153,8 @@ def read_measurements(
     `temperature_*_K`, `load_*`; `time_s`, to identify drift; `approach_u1` ..., the direction (1, -1, 0 for unknown)
     from which each drive came, by default inferred from the order in time; `encoder_<joint>_rad` or `_m`, readings of
     passive joints, and `sigma_encoder_...`. Columns may be in mm, um, deg, mrad or urad if their names say so (`x_mm`,
-    `u1_deg`). Rows with missing numbers are left out with a warning that names them.
+    `u1_deg`). Rows with missing numbers are left out with a warning that names them. Exports of instruments are
+    understood as :mod:`pm3dof_pin.measuring.export_file` says.
 
     Example:
         Measurements of a simulated machine, written and read:
@@ -172,19 +177,27 @@ def read_measurements(
             :mod:`pm3dof_pin.measuring.registration`. With single coordinates, its axes must be near those of the base.
         target_sigma: prior standard deviation of the points seen, per coordinate [m]; 0 if known exactly.
         tool_point_sigma: the same for the tool point, if that is the point seen [m].
+        columns: what the file does not say of itself: a column map, the YAML file of one, or the name of a profile.
 
     Raises:
+        DescriptionError: the column map cannot be read.
         MeasurementError: the file is unreadable, a column is missing, a cell is not a number, a quaternion is not a
             rotation, numbers are probably in another unit, or no row is left.
         InvalidValueError: the base cannot be located: positions only, on one line.
     """
-    read = _Reader(Path(path), robot).measurements(instrument or Instrument(), own_frame)
+    given = ColumnMap.load(columns) if isinstance(columns, (str, Path)) else columns
+    read = _Reader(Path(path), robot, given, own_frame=own_frame).measurements(instrument or Instrument())
     return replace(read, target_sigma=target_sigma, tool_point_sigma=tool_point_sigma)
 
 
 def _approach_columns(robot: Robot) -> tuple[str, ...]:
     """Return the columns of the drives' approach directions: approach_u1, approach_u2 ..."""
     return tuple(f"approach_u{k}" for k in range(1, len(robot.commands) + 1))
+
+
+def _table(path: Path, robot: Robot, columns: ColumnMap | None) -> CsvTable:
+    """Read a file with commands."""
+    return Export.read(path, command_columns(robot), columns).table(command_columns(robot))
 
 
 def _commands(table: CsvTable, robot: Robot) -> Array:
@@ -218,24 +231,27 @@ def _commands(table: CsvTable, robot: Robot) -> Array:
 class _Reader:
     """Reader of one file."""
 
-    def __init__(self, path: Path, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, path: Path, robot: Robot, columns: ColumnMap | None, *, own_frame: bool) -> None:
+        self._robot, self._own_frame, self._unused = robot, own_frame, set[str]()
         self._command_columns, self._start_columns = command_columns(robot), start_columns(robot)
-        self._table = CsvTable(path, self._command_columns)
+        self._table = _table(path, robot, columns)
+        if columns is not None and columns.angles:
+            replace_angles(self._table, columns.angles)
+        self._refuse_unknown_angles(own_frame)
         self._joints = self._encoder_joints()
         self._encoders = [encoder_column(robot, joint) for joint in self._joints]
         self._check_header()
         self._seen, whole = self._flags_of_measured()
         distances = (_DISTANCE, _DISTANCE_SIGMA, _SPHERE, *_ORIGIN, *self._start_columns)
         encoders = (f"{sigma}{name}" for sigma in ("", "sigma_") for name in self._encoders)
-        may_be_empty = {*_POSITION, *_QUATERNION, *_SIGMAS, *distances, *encoders}
+        may_be_empty = {*_POSITION, *_QUATERNION, *_SIGMAS, *distances, *encoders, *self._unused}
         needed = [name for name in self._table.columns if name not in may_be_empty]
         whole &= np.isfinite(self._table.matrix(needed)).all(axis=1)
         self._table.keep(whole)
         self._seen = self._seen[whole]
 
-    def measurements(self, instrument: Instrument, own_frame: bool) -> Measurements:
-        table = self._table
+    def measurements(self, instrument: Instrument) -> Measurements:
+        own_frame, table = self._own_frame, self._table
         points = table.matrix(_POINT, missing=0.0)
         self._warn_of_copies(points)
         commands = _commands(table, self._robot)
@@ -286,6 +302,25 @@ class _Reader:
     def _refuse(self, problem: str, flags: Any = None) -> NoReturn:
         raise MeasurementError(self._table.path, problem, () if flags is None else self._table.lines_where(flags))
 
+    def _refuse_unknown_angles(self, own_frame: bool) -> None:
+        """Refuse angles of unknown order, if there are any, naming the orders nearest to the described orientations."""
+        if not (names := angle_columns(self._table)):
+            return
+        commands, angles = self._table.matrix(self._command_columns), self._table.matrix(names)
+        usable = np.isfinite(commands).all(axis=1) & np.isfinite(angles).all(axis=1)
+        poses, turned = self._robot.forward(commands[usable], on_failure="nan"), {}
+        for order in orders_of(names) if poses.solved.any() and not own_frame else ():
+            seen = rotation_of_quaternion(quaternions_of_angles(angles[usable], order, names))[poses.solved]
+            off = np.swapaxes(poses.rotations[poses.solved], 1, 2) @ seen
+            turned[order] = float(np.median(np.linalg.norm(rotation_vector(off), axis=1)))
+        best = [order for order, off in turned.items() if off < 1.01 * min(turned.values()) and off < _TURNED]
+        others = [off for order, off in turned.items() if order not in best]
+        clear = best and others and _CLEARLY * turned[best[0]] < min(others)
+        near = " or ".join(f"`{order}`" for order in best)
+        said = f"; {near} is nearest to the described orientations" if clear else ""
+        problem = f"{','.join(names)} are angles of unknown order: expected `angles:` in --columns{said}"
+        raise MeasurementError(self._table.path, problem, [self._table.header_line])
+
     def _encoder_joints(self) -> dict[str, str]:
         """Return the joints with readings, and their units, in the order of the columns."""
         robot, header, columns = self._robot, self._table.header, {}
@@ -329,10 +364,9 @@ class _Reader:
                 expected += group
         self._table.require(expected)
         unknown = [name for name in header if name not in expected and not is_condition(name)]
+        self._unused = {*unknown}
         if unknown:
-            angles = _QUATERNION[0] not in header and any(name.endswith("_rad") for name in unknown)
-            hint = f"; an orientation is expected in {','.join(_QUATERNION)}" if angles else ""
-            self._table.warn(f"columns {', '.join(unknown)} are not used{hint}")
+            self._table.warn(f"columns {', '.join(unknown)} are not used")
 
     def _flags_of_measured(self) -> tuple[Mask, Mask]:
         """Complete the measured columns, and return flags of what was measured: x, y, z, angles, distance, encoders.

@@ -259,12 +259,12 @@ def test_comments_keep_the_numbers_of_lines(
     np.testing.assert_array_equal(found.commands, read(lines, tripod_errors, tmp_path).commands)
 
 
-def test_euler_angles_are_no_orientation(
+def test_euler_angles_of_unknown_order_are_refused(
     lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
 ) -> None:
     table = [[*lines[0][:6], "rx_deg", "ry_deg", "rz_deg"], *([*row[:6], "1", "2", "3"] for row in lines[1:])]
-    (warning,) = read(table, tripod_errors, tmp_path).warnings
-    assert warning == "columns rx_rad, ry_rad, rz_rad are not used; an orientation is expected in qw,qx,qy,qz"
+    with pytest.raises(MeasurementError, match="line 1: rx_rad,ry_rad,rz_rad are angles of unknown order"):
+        read(table, tripod_errors, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -277,9 +277,12 @@ def test_euler_angles_are_no_orientation(
         (HEADER + "\n0.24,0.24\n", "line 2: 2 cells, expected 10"),
         (HEADER + "\n0.24,0.24,0.24,zero,0,0.49,1,0,0,0\n", "line 2: x_m is 'zero', expected a number"),
         (HEADER + ",u1_m\n", "line 1: column u1_m appears more than once"),
-        (HEADER + ",\n", "line 1: column 11 has no name"),
+        (
+            HEADER + ",\n0.24,0.24,0.24,0,0,0.49,1,0,0,0,7\n",
+            "line 1: column 11 has no name|line 2: 11 cells, expected 10",
+        ),
         (HEADER.replace(",", " ") + "\n", "line 1: columns are separated by ' '"),
-        (HEADER.upper() + "\n", "line 1: no column u1_m"),
+        (HEADER.replace("u", "v") + "\n", "line 1: no column u1_m"),
         (HEADER.replace("z_m,", "") + "\n", "line 1: no column z_m"),
         (HEADER.replace(",qz", "") + "\n", "line 1: no column qz"),
         (HEADER + ",sigma_x_m\n", "line 1: no column sigma_y_m"),
