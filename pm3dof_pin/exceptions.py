@@ -157,6 +157,22 @@ class ConvergenceError(PM3DofError):
         )
 
 
+class AmbiguousHomeError(ConvergenceError):
+    """The loops are open at home and close in several ways near it, so that nothing says which one is meant.
+
+    Attributes:
+        residual: closure error of the described home [m, rad].
+        steps: iterations done for one of the ways.
+    """
+
+    def __init__(self, robot: str, residual: float, steps: int, advice: str) -> None:
+        self.residual = residual
+        self.steps = steps
+        PM3DofError.__init__(
+            self, f"{robot}: at home the loops are open by {residual:.3g} m or rad and close in several ways: {advice}"
+        )
+
+
 class DeflectionRangeError(PM3DofError):
     """Loads deflect a spring further than a body of its size can deflect.
 

@@ -198,7 +198,7 @@ def _limit_words(poses: Poses) -> list[str]:
 
 def _named_configuration(robot: Robot, name: str | None) -> Vector:
     named = robot.named_configurations
-    if name is None or (name == "home" and "home" not in named):
+    if name is None or name == "home":
         return robot.assemble().q
     if name not in named:
         expected = f"one of {', '.join(named)}" if named else "home, the only one there is"

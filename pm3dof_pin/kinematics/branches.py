@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
-from pm3dof_pin.exceptions import ConvergenceError, ProgramError, SingularConfigurationError
+from pm3dof_pin.exceptions import AmbiguousHomeError, ConvergenceError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -289,7 +289,7 @@ def _closed_nearby(
 def not_closed(robot: PlacedMechanism, result: Assembly) -> ConvergenceError:
     """Return the error about loops that are open at home: no way to close them was found, or several."""
     advice = "pm3dof info names the loops that are open; define a configuration 'home' (pm3dof info --assemble)"
-    task, residual = f"{robot.name}: closing the loops at home", result.residual
     if result.converged:
-        task, residual = f"{task} in one way only", robot.home.closure_residual
-    return ConvergenceError(task, residual, "m or rad", result.steps, advice)
+        return AmbiguousHomeError(robot.name, robot.home.closure_residual, result.steps, advice)
+    task = f"{robot.name}: closing the loops at home"
+    return ConvergenceError(task, result.residual, "m or rad", result.steps, advice)

@@ -81,7 +81,7 @@ class PlacedMechanism(Mechanism):
     def _is_only_way(self, described: Configuration, found: Assembly, joints: Mapping[str, float]) -> bool:
         """Return whether starts near the described home end near the configuration found from it."""
         if self.prototype is not self:  # as its prototype's, of which it is a small variation
-            return True
+            return self.prototype.home.closure_residual <= self.prototype.closure_tolerance
         generator = np.random.default_rng(0)
         for _ in range(_NEARBY_STARTS):
             motion = self.velocity_scale * generator.uniform(-_NEARBY, _NEARBY, self.model.nv)

@@ -567,14 +567,15 @@ class Robot(PlacedMechanism):
             joints: coordinates of joints to hold [m, rad]; shape=(joint's nq,) for a joint with several.
 
         Raises:
-            ConvergenceError: no closed configuration was found.
+            ConvergenceError: no closed configuration was found; or, with neither guess nor joints, several.
             JointNotFoundError: a joint is not in the model.
             InvalidValueError: the guess or a coordinate is not finite or of the wrong shape.
         """
         result = assemble(self, self.home if guess is None else guess, joints=joints)
+        is_ambiguous = joints is None and self.home.closure_residual > self.closure_tolerance
+        if guess is None and (is_ambiguous or not result.converged):
+            raise not_closed(self, result)
         if not result.converged:
-            if guess is None:
-                raise not_closed(self, result)
             advice = "try a guess closer to an assembled configuration"
             raise ConvergenceError("closing the loops", result.residual, "m or rad", result.steps, advice)
         return result.configuration

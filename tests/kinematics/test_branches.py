@@ -14,7 +14,13 @@ import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.exceptions import ConvergenceError, PM3DofError, SingularConfigurationError, UnreachablePoseError
+from pm3dof_pin.exceptions import (
+    AmbiguousHomeError,
+    ConvergenceError,
+    PM3DofError,
+    SingularConfigurationError,
+    UnreachablePoseError,
+)
 from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.branches import branches_of
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -243,6 +249,21 @@ def four_bar_files(folder: Path, links: list[float], *, tilt: str = "0 0 0", cra
     return folder / "fb.urdf"
 
 
+def test_a_home_from_which_the_loops_close_in_several_ways_is_refused(tmp_path, run):
+    """A ten-thousandth of a radian off the line the coupler's side is anybody's guess."""
+    path = four_bar_files(tmp_path, [0.08, 0.22, 0.18, 0.24])
+    state = '<group_state name="home" group="all"><joint name="coupler_joint" value="1e-4"/></group_state>'
+    (tmp_path / "fb.srdf").write_text(f'<robot name="fb">{state}</robot>')
+    robot = Robot.load(path, drive_stiffness=100.0)
+    for action in (robot.assemble, lambda: robot.forward([1.0]), robot.with_engine("pinocchio").assemble):
+        with pytest.raises(AmbiguousHomeError, match=r"open by 0\.12 m or rad and close in several ways.*--assemble"):
+            action()
+    for command in (["stiffness", "--drive-stiffness", "100"], ["fk", "--configuration", "home"]):
+        done = run(command[0], "--robot", str(path), *command[1:])
+        assert done.returncode == 1
+        assert "close in several ways" in done.stderr
+
+
 def rocker_angles(links: list[float], crank: float) -> np.ndarray:
     """Return the two angles of the rocker of a four-bar at a crank angle, by the triangle of its diagonal."""
     a, b, c, d = links
@@ -259,7 +280,7 @@ def test_a_collinear_home_is_refused_by_both_engines_and_assembled_on_request(tm
     for engine in ("program", "pinocchio"):
         with pytest.raises(ConvergenceError, match=r"closing the loops at home.*--assemble"):
             Robot.load(path, engine=engine).forward([1.0])
-    for command in (["ik", "60"], ["fk", "60"], ["workspace"]):
+    for command in (["ik", "60"], ["fk", "60"], ["workspace"], ["stiffness", "--drive-stiffness", "100"]):
         done = run(command[0], "--robot", str(path), *command[1:])
         assert done.returncode == 1
         assert "--assemble" in done.stderr
