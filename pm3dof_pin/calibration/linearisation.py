@@ -228,31 +228,23 @@ class Linearisation:
             u, s, _ = np.linalg.svd((self.rows * sigmas).reshape(-1, len(sigmas)), full_matrices=False)
             leverages = u**2 @ (s > REGRESSOR_TOLERANCE * s.max(initial=0.0))
             return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
-        blocks = self._blocks.sum(axis=0) * np.outer(sigmas, sigmas)
-        return np.asarray(np.einsum("kij,ji->k", blocks, np.linalg.inv(blocks.sum(axis=0) + np.eye(len(sigmas)))))
+        parts = [(self.rows[:, own] * sigmas).reshape(-1, len(sigmas)) for own in self.kinds.T > 0.0]
+        blocks = [part.T @ part for part in parts]
+        inverse = np.linalg.inv(sum(blocks, np.eye(len(sigmas))))
+        return np.array([np.sum(block * inverse) for block in blocks])
 
     def _solve(self, weights: Array, factors: Array) -> Array:
+        scale, count = np.sqrt(weights)[:, None] / (self.kinds @ factors), self.rows.shape[2]
         if np.isfinite(self.prior):
             # with a prior the normal equations are well conditioned, and much faster to reweight
-            shares = weights[:, None] / factors**2
-            information = np.tensordot(shares, self._blocks, 2) + np.diag(1.0 / self.sigmas**2)
-            return np.asarray(scipy.linalg.solve(information, np.einsum("nk,njk->j", shares, self._pulls)))
-        scale, count = np.sqrt(weights)[:, None] / (self.kinds @ factors), self.rows.shape[2]
+            weighted = (scale[:, :, None] * self.rows).reshape(-1, count)
+            information = weighted.T @ weighted + np.diag(1.0 / self.sigmas**2)
+            return np.asarray(scipy.linalg.solve(information, weighted.T @ (scale * self._targets).ravel()))
         known_before = self.sigmas < UNKNOWN
         regularised = np.diag(np.where(known_before, 1.0 / self.sigmas, np.sqrt(_DAMPING)))
         matrix = np.concatenate([(scale[:, :, None] * self.rows).reshape(-1, count), regularised])
         right = np.concatenate([(scale * self._targets).ravel(), regularised @ np.where(known_before, 0.0, self.start)])
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=REGRESSOR_TOLERANCE)[0])
-
-    @cached_property
-    def _blocks(self) -> Array:
-        """Information of each kind of coordinate of a measurement, shape=(n, kinds, parameters, parameters)."""
-        parts = [self.rows[:, own] for own in self.kinds.T > 0.0]
-        return np.stack([np.swapaxes(part, 1, 2) @ part for part in parts], axis=1)
-
-    @cached_property
-    def _pulls(self) -> Array:
-        return np.asarray(np.swapaxes(self.rows * self._targets[:, :, None], 1, 2) @ self.kinds)
 
 
 def tool_motions_by_drives(poses: Poses, commands: Array | None = None) -> Array:

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import require_kind
+from pm3dof_pin.calibration.candidate_information import CandidateInformation, Criterion, Determinant, TipVariance
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.fit import Method
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
@@ -249,8 +250,8 @@ class PlanningProblem:
 
     def _chosen(self, count: int, strategy: Strategy, generator: np.random.Generator, restarts: int) -> Indices:
         chooser: dict[Strategy, Callable[[], Indices]] = {
-            "d-optimal": lambda: self._optimal(count, generator, restarts, _Determinant()),
-            "tip-optimal": lambda: self._optimal(count, generator, restarts, _Determinant(), _TipVariance(self._tip)),
+            "d-optimal": lambda: self._optimal(count, generator, restarts, Determinant()),
+            "tip-optimal": lambda: self._optimal(count, generator, restarts, Determinant(), TipVariance(self._tip)),
             "space-filling": lambda: self._space_filling(count, generator),
             "process-variance": lambda: self._least_process_variance(count),
             "least-sensitive": lambda: self._spread(np.flatnonzero(self.least_sensitive), count, generator),
@@ -332,9 +333,7 @@ class PlanningProblem:
                 expected = f"fewer, or a distance of less than {self._min_distance:g} of the ranges from each other"
                 raise InvalidValueError("count", len(chosen), expected)
 
-    def _optimal(
-        self, count: int, generator: np.random.Generator, restarts: int, *criteria: _Determinant | _TipVariance
-    ) -> Indices:
+    def _optimal(self, count: int, generator: np.random.Generator, restarts: int, *criteria: Criterion) -> Indices:
         """Exchange poses for better ones until none is found, from several random starts, and return the best.
 
         The last criterion decides; earlier ones only provide better starts.
@@ -350,22 +349,21 @@ class PlanningProblem:
                 best, best_value = chosen, value
         return best
 
-    def _exchanged(self, start: Indices, criterion: _Determinant | _TipVariance) -> Indices:
+    def _exchanged(self, start: Indices, criterion: Criterion) -> Indices:
         chosen = start.copy()
         near = np.array([self._near(int(index)) for index in chosen])
-        information = self.information(chosen)
         for _ in range(_MAX_PASSES):
             swapped = False
+            state = CandidateInformation.of(self._rows, self.information(chosen), criterion.tip)
             for place in range(len(chosen)):
-                block = self._rows[chosen[place]]
-                without = information - block.T @ block
-                gains = criterion.gains(without, self._rows)
+                without = state.changed(chosen[place], -1.0)
+                gains = criterion.gains(without)
                 others = np.delete(near, place, axis=0).any(axis=0)
                 gains[others] = -np.inf
                 winner = int(np.argmax(gains))
                 if gains[winner] > gains[chosen[place]] + _MIN_GAIN * abs(gains[chosen[place]]):
                     chosen[place], near[place] = winner, self._near(winner)
-                    information = without + self._rows[winner].T @ self._rows[winner]
+                    state = without.changed(winner, 1.0)
                     swapped = True
             if not swapped:
                 break
@@ -385,42 +383,3 @@ def order_with_references(poses: Poses, every: int, seed: int) -> Indices:
     for start in range(0, len(others), every):
         order += [*others[start : start + every].tolist(), reference]
     return np.array(order, dtype=np.intp)
-
-
-class _Determinant:
-    """log det M."""
-
-    def value(self, information: Array) -> float:
-        return float(np.linalg.slogdet(information)[1])
-
-    def gains(self, information: Array, blocks: Array) -> Array:
-        """Gain by each block: log det(1 + A M^-1 A^T)."""
-        return np.asarray(np.linalg.slogdet(_inner(_through_root(information, blocks)[1]))[1])
-
-
-class _TipVariance:
-    """Minus the predicted tip variance, tr(Q M^-1)."""
-
-    def __init__(self, tip: Array) -> None:
-        self._tip = tip
-
-    def value(self, information: Array) -> float:
-        return -float(np.trace(np.linalg.solve(information, self._tip)))
-
-    def gains(self, information: Array, blocks: Array) -> Array:
-        """Reduction by each block: tr((1 + A M^-1 A^T)^-1 A M^-1 Q M^-1 A^T)."""
-        root, seen = _through_root(information, blocks)
-        weighted = seen @ (root.T @ self._tip @ root)
-        inner = _inner(seen)
-        return np.asarray(np.einsum("nii->n", np.linalg.solve(inner, weighted @ np.swapaxes(seen, 1, 2))))
-
-
-def _through_root(information: Array, blocks: Array) -> tuple[Array, Array]:
-    """Return U with M^-1 = U U^T, and all A U."""
-    root = np.linalg.inv(np.linalg.cholesky(information)).T
-    return root, (blocks.reshape(-1, blocks.shape[2]) @ root).reshape(blocks.shape)
-
-
-def _inner(seen: Array) -> Array:
-    """Return 1 + A M^-1 A^T of all blocks, given A U."""
-    return np.asarray(np.eye(seen.shape[1]) + seen @ np.swapaxes(seen, 1, 2))

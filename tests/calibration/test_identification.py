@@ -193,7 +193,6 @@ def test_parameters_use_up_the_trace_of_the_hat_matrix() -> None:
     hat = design @ np.linalg.inv(design.T @ design + np.diag(sigmas**-2)) @ design.T
     kinds = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     problem = SimpleNamespace(prior=PRIOR, rows=rows, kinds=kinds, sigmas=sigmas)
-    problem._blocks = Linearisation._blocks.func(problem)  # type: ignore[attr-defined]
     used = np.diag(hat).reshape(15, 3).sum(axis=0) @ kinds
     np.testing.assert_allclose(Linearisation._used.func(problem), used, rtol=1e-12)  # type: ignore[attr-defined]
 

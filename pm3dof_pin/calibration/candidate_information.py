@@ -1,0 +1,113 @@
+"""What each candidate would add to the information of chosen poses, followed while poses are exchanged.
+
+With the information M of the chosen poses, candidates are judged by A M^-1 A^T alone, and by A M^-1 Q M^-1 A^T where
+the tip's variance tr(Q M^-1) matters. A pose that comes or goes changes M by a matrix of the rank of its few rows, and
+these small blocks by Woodbury's formula: a number of operations linear in the parameters, not quadratic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from pm3dof_pin.typing import Array
+
+_NEARLY_ALONE = 1e-4
+"""If less of some direction's information remains without a pose, it is computed anew: a difference would cancel."""
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateInformation:
+    """The information of chosen poses, and what every candidate shows of its inverse."""
+
+    rows: Array  #: A of all candidates, shape=(n, r, p)
+    information: Array  #: M, shape=(p, p)
+    tip: Array | None  #: Q, shape=(p, p)
+    inverse: Array  #: M^-1, shape=(p, p)
+    seen: Array  #: A M^-1 A^T, shape=(n, r, r)
+    seen_tip: Array | None  #: A M^-1 Q M^-1 A^T, shape=(n, r, r)
+
+    @classmethod
+    def of(cls, rows: Array, information: Array, tip: Array | None) -> CandidateInformation:
+        """Compute it anew."""
+        root = np.linalg.inv(np.linalg.cholesky(information)).T
+        along = (rows.reshape(-1, rows.shape[2]) @ root).reshape(rows.shape)
+        seen, seen_tip = along @ np.swapaxes(along, 1, 2), None
+        if tip is not None:
+            seen_tip = (along @ (root.T @ tip @ root)) @ np.swapaxes(along, 1, 2)
+        return cls(rows, information, tip, root @ root.T, seen, seen_tip)
+
+    def changed(self, index: int, sign: float) -> CandidateInformation:
+        """Return it with (1) or without (-1) a candidate among the chosen."""
+        block = self.rows[index]
+        information = self.information + sign * (block.T @ block)
+        inner = np.eye(len(block)) + sign * self.seen[index]
+        if np.linalg.eigvalsh(inner)[0] < _NEARLY_ALONE:
+            return CandidateInformation.of(self.rows, information, self.tip)
+        along, middle = self.inverse @ block.T, -sign * np.linalg.inv(inner)
+        flat = self.rows.reshape(-1, self.rows.shape[2])
+
+        def of_all(columns: Array) -> Array:
+            return np.asarray((flat @ columns).reshape(*self.rows.shape[:2], columns.shape[1]))
+
+        inverse = self.inverse + along @ middle @ along.T
+        shown = of_all(along)
+        moved = shown @ middle
+        seen = self.seen + moved @ np.swapaxes(shown, 1, 2)
+        if self.tip is None or self.seen_tip is None:
+            return CandidateInformation(self.rows, information, None, inverse, seen, None)
+        weighted = self.tip @ along
+        crossed = moved @ np.swapaxes(of_all(self.inverse @ weighted), 1, 2)
+        twice = moved @ (along.T @ weighted) @ np.swapaxes(moved, 1, 2)
+        seen_tip = self.seen_tip + crossed + np.swapaxes(crossed, 1, 2) + twice
+        return CandidateInformation(self.rows, information, self.tip, inverse, seen, seen_tip)
+
+
+class Criterion(Protocol):
+    """What a plan makes as great as possible."""
+
+    @property
+    def tip(self) -> Array | None:
+        """Q, if the criterion needs it, shape=(p, p)."""
+        ...
+
+    def value(self, information: Array) -> float:
+        """Return the criterion of an information, shape=(p, p)."""
+        ...
+
+    def gains(self, state: CandidateInformation) -> Array:
+        """Return the gain by each candidate, shape=(n,)."""
+        ...
+
+
+class Determinant:
+    """log det M."""
+
+    tip = None
+
+    def value(self, information: Array) -> float:
+        """See :class:`Criterion`."""
+        return float(np.linalg.slogdet(information)[1])
+
+    def gains(self, state: CandidateInformation) -> Array:
+        """Return log det(1 + A M^-1 A^T)."""
+        return np.asarray(np.linalg.slogdet(np.eye(state.seen.shape[1]) + state.seen)[1])
+
+
+class TipVariance:
+    """Minus the predicted tip variance, tr(Q M^-1)."""
+
+    def __init__(self, tip: Array) -> None:
+        self.tip = tip
+
+    def value(self, information: Array) -> float:
+        """See :class:`Criterion`."""
+        return -float(np.trace(np.linalg.solve(information, self.tip)))
+
+    def gains(self, state: CandidateInformation) -> Array:
+        """Return the reduction of the variance, tr((1 + A M^-1 A^T)^-1 A M^-1 Q M^-1 A^T)."""
+        assert state.seen_tip is not None
+        inner = np.eye(state.seen.shape[1]) + state.seen
+        return np.asarray(np.einsum("nii->n", np.linalg.solve(inner, state.seen_tip)))
