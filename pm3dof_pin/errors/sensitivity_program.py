@@ -11,12 +11,12 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry
-from pm3dof_pin.programs.elimination import Doubt
+from pm3dof_pin.programs.elimination import Doubt, zeros
 from pm3dof_pin.programs.graph import Graph, select
-from pm3dof_pin.programs.joints import Placement, Screw
+from pm3dof_pin.programs.joints import Placement
 from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.tool_motion import Column, joint_columns, response
+from pm3dof_pin.programs.tool_motion import Displacement, joint_columns, response_to_displacements
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects, Vector
@@ -105,25 +105,33 @@ def _traced(
     tree = Tree(graph, robot, poses, [place for place in places if not robot.model.existJointName(place)])
     driven = robot.actuated_indices
     passive = joint_columns(tree, np.setdiff1d(np.arange(robot.model.nv), driven), tool)
-    sources = [
-        _error_column(tree, place, k, twist, _moved_frames(errors, place), at_zero=at_zero)
-        for k, (place, twist) in enumerate(zip(places, local_twists.T, strict=True))
-    ]
+    displaced, order = _displacements(tree, errors, local_twists, at_zero=at_zero)
     doubt = Doubt()
-    motions = response(tree, tool, passive, [*sources, *joint_columns(tree, driven, tool)], doubt)
-    outputs = reduce(Motions(graph, motions[:, : len(sources)], motions[:, len(sources) :], doubt))
-    return graph.program(name, {**outputs, "sound": select(doubt.is_none(motions), 1.0, 0.0)})
+    by_errors, by_drives = response_to_displacements(
+        tree, tool, passive, joint_columns(tree, driven, tool), displaced, doubt
+    )
+    by_errors = by_errors[:, np.argsort(order)]
+    outputs = reduce(Motions(graph, by_errors, by_drives, doubt))
+    sound = doubt.is_none(np.hstack([by_errors, by_drives]))
+    return graph.program(name, {**outputs, "sound": select(sound, 1.0, 0.0)})
 
 
-def _error_column(tree: Tree, place: str, number: int, local: Array, moves: frozenset[str], *, at_zero: bool) -> Column:
-    """Return the column of an error: a twist of everything beyond its place, in the place's axes."""
-    entries: Objects = np.zeros(6, dtype=object)
-    rows = range(3) if local[:3].any() else range(3, 6)
-    for k in rows:
-        entries[k] = float(local[k]) if at_zero else tree.graph.parameter(_name(number, k), float(local[k]))
-    frame = _place(tree, place)
-    linear, angular = frame.rotation @ entries[:3], frame.rotation @ entries[3:]
-    return Column(Screw(angular, linear, frame.translation), moves)
+def _displacements(
+    tree: Tree, errors: GeometricErrors, local_twists: Matrix, *, at_zero: bool
+) -> tuple[list[Displacement], list[int]]:
+    """Return the errors of each place, as twists of everything beyond it; and the numbers of the errors, in order."""
+    numbers: dict[str, list[int]] = {}
+    for k, parameter in enumerate(errors.parameters):
+        numbers.setdefault(parameter.place, []).append(k)
+    displaced = []
+    for place, own in numbers.items():
+        local = zeros(6, len(own))
+        for column, k in enumerate(own):
+            for row in range(3) if local_twists[:3, k].any() else range(3, 6):
+                number = float(local_twists[row, k])
+                local[row, column] = number if at_zero else tree.graph.parameter(_name(k, row), number)
+        displaced.append(Displacement(_place(tree, place), _moved_frames(errors, place), local))
+    return displaced, [k for own in numbers.values() for k in own]
 
 
 def _place(tree: Tree, place: str) -> Placement:

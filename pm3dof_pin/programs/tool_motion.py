@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from pm3dof_pin.programs.elimination import (
     zeros,
 )
 from pm3dof_pin.programs.graph import is_zero, sqrt
-from pm3dof_pin.programs.joints import Screw, cross
+from pm3dof_pin.programs.joints import Placement, Screw, cross, objects
 from pm3dof_pin.programs.loops import apply_rows, closure_frames, held_twist, loop_equations
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
@@ -49,6 +50,15 @@ class Column:
     def slides(self) -> bool:
         """Whether it is purely translational; its rate is then in units of length."""
         return all(map(is_zero, self.screw.angular))
+
+
+@dataclass(frozen=True, eq=False)
+class Displacement:
+    """Small twists of everything beyond a place, and which closure frames they move, and whether the tool frame."""
+
+    place: Placement
+    frames: frozenset[str]
+    local: Objects  #: twists [v; omega] at the place, in its axes, shape=(6, k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +104,24 @@ def branches(
         weights: function of the numbers of a branch's sources and its equations, shape=(m, number of its sources),
             that returns the equations in other variables, shape=(m, w); the sources themselves only decide ranks.
     """
-    columns = [*passive, *sources]
-    twist, rates = _rows(tree, frame, columns)
+    twist, rates, _ = _rows(tree, frame, [*passive, *sources])
+    return _branches(twist, rates, len(passive), doubt, joined, weights)
+
+
+def _branches(
+    twist: Objects,
+    rates: Objects,
+    count: int,
+    doubt: Doubt,
+    joined: Iterable[Sequence[int]] = (),
+    weights: Callable[[tuple[int, ...], Objects], Objects] | None = None,
+) -> list[Branch]:
+    """Eliminate the first columns of rates, `count` of them; the others are sources."""
     result = []
-    for rows, members in _components(rates, [[len(passive) + k for k in group] for group in joined]):
-        joints = [c for c in members if c < len(passive)]
-        inputs = tuple(c - len(passive) for c in members if c >= len(passive))
-        motion = rates[np.ix_(rows, [len(passive) + k for k in inputs])]
+    for rows, members in _components(rates, [[count + k for k in group] for group in joined]):
+        joints = [c for c in members if c < count]
+        inputs = tuple(c - count for c in members if c >= count)
+        motion = rates[np.ix_(rows, [count + k for k in inputs])]
         weighted = weights(inputs, motion) if weights else zeros(len(rows), 0)
         branch = _branch(rates[np.ix_(rows, joints)], motion, weighted, twist[rows], inputs, doubt)
         if len(branch.twist) or len(branch.relations):
@@ -135,35 +156,107 @@ def response(
             source.
     """
     held = branches(tree, frame, passive, sources, doubt)
+    solution, strains = _solution(frame, held, len(sources), readings, doubt)
+    _require_zero(strains, doubt)
+    return _scaled(solution, [*(s.slides for s in sources), *(reading.is_length for reading in readings)], tree)
+
+
+def response_to_displacements(
+    tree: Tree,
+    frame: str,
+    passive: Sequence[Column],
+    drives: Sequence[Column],
+    displacements: Sequence[Displacement],
+    doubt: Doubt,
+) -> tuple[Objects, Objects]:
+    """Record how a frame moves with displacements anywhere, and with drives, as :func:`response` does.
+
+    The adjoint way: the sources are the equations themselves, whose number does not grow with that of the
+    displacements. Their solution gives six covectors, and further ones that must vanish, for whatever moves the same
+    frames; a displacement is their product with a twist. Returns the frame's twists for one unit of each, shape=(6, k),
+    and for one unit of each drive, shape=(6, u).
+
+    Raises:
+        ProgramError: see :func:`response`.
+    """
+    twist, rates, maps = _rows(tree, frame, [*passive, *drives])
+    held = _branches(twist, np.hstack([rates, identity(len(rates))]), len(passive), doubt)
+    count, unit, tool = len(drives), tree.mechanism.length_unit, tree.frame(frame).translation
+    solution, strains = _solution(frame, held, count + len(rates), (), doubt)
+    _require_zero(strains[:, :count], doubt)
+    by_drives = _scaled(solution[:, :count], [drive.slides for drive in drives], tree)
+    by_rows = np.vstack([solution, strains])[:, count:]
+    covectors: dict[frozenset[str], Objects] = {}
+    results = []
+    for moved in displacements:
+        if moved.frames not in covectors:
+            covectors[moved.frames] = _covectors(tree, by_rows, moved.frames, frame, maps)
+        along, about = np.split(covectors[moved.frames], 2, axis=1)
+        lever = (tool - moved.place.translation) * (1.0 / unit)
+        local = [along * (1.0 / unit)]
+        if any(not is_zero(entry) for entry in moved.local[3:].ravel()):
+            local.append(about + objects([cross(lever, row) for row in along]))
+        turned = [product(part, moved.place.rotation) for part in local]
+        results.append(
+            sum(product(part, twists) for part, twists in zip(turned, np.split(moved.local, 2), strict=False))
+        )
+    found = np.hstack(results) if results else zeros(len(by_rows), 0)
+    _require_zero(found[6:], doubt)
+    return _scaled(found[:6], [False] * found.shape[1], tree), by_drives
+
+
+def _covectors(tree: Tree, by_rows: Objects, moved: frozenset[str], frame: str, maps: Sequence[ClosureMap]) -> Objects:
+    """Return what a scaled twist at the tool of everything that moves some frames gives, shape=(n, 6)."""
+    result = by_rows[:, :6] * -1.0 if frame in moved else zeros(len(by_rows), 6)
+    for loop, (rows, factor, twist) in zip(tree.mechanism.closures, maps, strict=True):
+        relative = float(loop.frame_b in moved) - float(loop.frame_a in moved) - factor * float(frame in moved)
+        if relative:
+            result = result + product(by_rows[:, rows], twist) * relative
+    return result
+
+
+def _solution(
+    frame: str, held: Sequence[Branch], count: int, readings: Sequence[Reading], doubt: Doubt
+) -> tuple[Objects, Objects]:
+    """Return minus the frame's scaled twist for each source and reading, and equations that these must satisfy."""
     if not held and not readings:
         raise ProgramError(f"no branch carries '{frame}'")
-    count = len(sources) + len(readings)
-    given = zeros(len(readings), count)
+    every = count + len(readings)
+    given = zeros(len(readings), every)
     for k in range(len(readings)):
-        given[k, len(sources) + k] = -1.0
+        given[k, count + k] = -1.0
     twists = np.vstack([*(branch.twist for branch in held), *(reading.row[None] for reading in readings)])
-    motions = np.vstack([*(widened(branch.motion, branch.sources, count) for branch in held), given])
+    motions = np.vstack([*(widened(branch.motion, branch.sources, every) for branch in held), given])
     result = eliminate(np.hstack([twists, motions]), range(6), doubt)
     if len(result.columns) < 6:
         raise ProgramError(f"'{frame}' can move with all sources at rest, at every sample pose")
-    strains = [result.rest[:, 6:], *(widened(branch.relations, branch.sources, count) for branch in held)]
-    for entry in np.vstack(strains).ravel():
-        if np.max(np.abs(samples(entry))) > DROPPED:
-            raise ProgramError("the loops cannot close with a source")
-        doubt.drop([entry])
+    strains = [result.rest[:, 6:], *(widened(branch.relations, branch.sources, every) for branch in held)]
     order = list(result.columns)
     triangle = result.pivot_rows[:, order]
     solution = solve_upper(triangle, result.pivot_rows[:, 6:])[np.argsort(order)]
     inverse = solve_upper(triangle, identity(6))
     size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
     doubt.note_pivot(6.0 / size)
+    return solution, np.vstack(strains)
+
+
+def _require_zero(strains: Objects, doubt: Doubt) -> None:
+    """Drop entries that are zero if the loops close with the sources; raise ProgramError if they are not."""
+    for entry in strains.ravel():
+        if np.max(np.abs(samples(entry))) > DROPPED:
+            raise ProgramError("the loops cannot close with a source")
+        doubt.drop([entry])
+
+
+def _scaled(solution: Objects, are_lengths: Sequence[bool], tree: Tree) -> Objects:
+    """Return twists in metres and radians, by one unit of each source."""
     unit = tree.mechanism.length_unit
-    solution[:3] = solution[:3] * -unit
-    solution[3:] = -solution[3:]
-    for k, is_length in enumerate([*(s.slides for s in sources), *(reading.is_length for reading in readings)]):
+    twists: Objects = solution * -1.0
+    twists[:3] = twists[:3] * unit
+    for k, is_length in enumerate(are_lengths):
         if is_length:
-            solution[:, k] = solution[:, k] * (1.0 / unit)
-    return solution
+            twists[:, k] = twists[:, k] * (1.0 / unit)
+    return twists
 
 
 def widened(rows: Objects, columns: Sequence[int], count: int) -> Objects:
@@ -173,7 +266,11 @@ def widened(rows: Objects, columns: Sequence[int], count: int) -> Objects:
     return wide
 
 
-def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, Objects]:
+ClosureMap: TypeAlias = tuple[slice, float, Objects]
+"""Rows of a closure, the part of the frame's twist in them, and their product with a scaled twist at the frame."""
+
+
+def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, Objects, list[ClosureMap]]:
     """Return the equations as coefficients of the frame's twist and of the columns, scaled, shape=(m, 6) and (m, n)."""
     unit = tree.mechanism.length_unit
     tool = tree.frame(frame).translation
@@ -181,6 +278,7 @@ def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, O
         [identity(6)],
         [_velocities(columns, [-1.0 * (frame in c.frames) for c in columns], tool, unit)],
     )
+    maps: list[ClosureMap] = []
     for index, loop in enumerate(tree.mechanism.closures):
         signs = {name: [float(name in c.frames) for c in columns] for name in (loop.frame_a, loop.frame_b, frame)}
         relative = np.subtract(signs[loop.frame_b], signs[loop.frame_a])
@@ -193,7 +291,9 @@ def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, O
         twist = identity(6)
         for k in range(3):
             twist[:3, 3 + k] = cross([float(k == i) for i in range(3)], lever)
-        twists.append(apply_rows(held, twist) * factor)
+        own, first = apply_rows(held, twist), sum(map(len, twists))
+        maps.append((slice(first, first + len(own)), factor, own))
+        twists.append(own * factor)
         rates.append(apply_rows(held, _velocities(columns, choices[factor], point, unit)))
     for equation in loop_equations(tree)[len(tree.mechanism.closures) :]:
         twists.append(zeros(1, 6))
@@ -202,7 +302,7 @@ def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, O
             if column.joint is not None and column.joint in equation.columns:
                 slope = equation.columns[column.joint][0] * (unit if column.slides else 1.0)
                 rates[-1][0, k] = slope if equation.is_angular[0] else slope * (1.0 / unit)
-    return np.vstack(twists), np.vstack(rates)
+    return np.vstack(twists), np.vstack(rates), maps
 
 
 def _velocities(columns: Sequence[Column], factors: Iterable[float], point: Objects, unit: float) -> Objects:
