@@ -19,7 +19,7 @@ from pm3dof_pin.description.coordinates import shown_in
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.limit_space import LimitSpace
-    from pm3dof_pin.maps.workspace import Workspace
+    from pm3dof_pin.maps.workspace import Interval, Workspace
     from pm3dof_pin.typing import Array
 
 _SECTIONS, _DIRECTIONS = 121, 360  # of the tripod
@@ -64,12 +64,13 @@ def workspace(
 
     Angles in degrees, lengths in metres. Sections over two coordinates are stacked along a third; the other coordinates
     stay at home, or at the value of --at. Coordinates end at their declared ranges too. Poses beyond a singular one are
-    on another branch and out of reach; with --all-branches each branch is listed and drawn.
+    on another branch and out of reach; with --all-branches each branch is listed and drawn. Of a
+    robot with one coordinate the intervals are printed.
     """
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.chapter_workspace import compare_printed_ranges, printed_ranges, tripod_space
     from pm3dof_pin.maps.datasets import write_map
-    from pm3dof_pin.maps.workspace import spaces_by_branch
+    from pm3dof_pin.maps.workspace import reachable_intervals, spaces_by_branch
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
     given = which.robot or coordinate or values or which.tool_frame or engine != "program"
@@ -85,6 +86,9 @@ def workspace(
         usual = _DIRECTIONS if tripod else _FEW_DIRECTIONS if space.stacked else _ONE_SECTION_DIRECTIONS
         try:
             spaces = spaces_by_branch(space) if all_branches else {0: space}
+            if len(space.names) == 1:
+                _print_intervals(space, {n: reachable_intervals(own) for n, own in spaces.items()}, as_json)
+                return
             branches = {n: reachable_set(own, sections, directions or usual) for n, own in spaces.items()}
         except InvalidValueError as error:
             raise typer.BadParameter(f"{space.machine}: {error}") from None
@@ -114,6 +118,19 @@ def workspace(
     if tripod is not None:
         result["printed_ranges"] = [statement.text for statement in compare_printed_ranges(tripod, found)]
     print_result(result, _lines(found, result), as_json=as_json, files=files)
+
+
+def _print_intervals(space: LimitSpace, intervals: dict[int, list[Interval]], as_json: bool) -> None:
+    name, unit = space.names[0], space.units[0]
+    entries, lines = [], []
+    for number, parts in intervals.items():
+        for part in parts:
+            entries.append({"branch": number, f"{name}_range_{unit}": part.ends, "limits": part.limits})
+            below, above = (" and ".join(limits) for limits in part.limits)
+            lines.append(
+                f"{_range(name, unit, part.ends)}: {below} below, {above} above" + f" (branch {number})" * (number > 0)
+            )
+    print_result({"robot": space.machine, "intervals": entries}, lines, as_json=as_json)
 
 
 def _robot_space(

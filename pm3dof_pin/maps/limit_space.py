@@ -1,4 +1,4 @@
-"""Two or three coordinates of a machine and the limits over them, in which the reachable set is searched."""
+"""One to three coordinates of a machine and the limits over them, in which the reachable set is searched."""
 
 from __future__ import annotations
 
@@ -32,11 +32,12 @@ _SLOW, _OF_ARMS = 0.25, 0.5
 class LimitSpace:
     """Coordinates and the limits over them.
 
-    Sections are over the first two coordinates and stacked along the third, if there is one.
+    Sections are over the first two coordinates and stacked along the third, if there is one. Over a single coordinate
+    there are no sections but intervals.
     """
 
     machine: str  #: name of the machine
-    names: tuple[str, ...]  #: names of the coordinates, two or three
+    names: tuple[str, ...]  #: names of the coordinates, one to three
     units: tuple[str, ...]  #: "m" or "rad" of each
     limits: tuple[str, ...]  #: names of the limits, from the lowest bit
     #: function from values of the coordinates, shape=(..., number of coordinates) [m, rad], to the sums of the limits
@@ -69,22 +70,21 @@ def robot_space(
     declared_ranges: bool = True,
     all_branches: bool = False,
 ) -> LimitSpace:
-    """Return two or three coordinates of a robot with the limits over them.
+    """Return one to three coordinates of a robot with the limits over them.
 
     By default the first ones, with those of equal units in the sections; others are at home unless fixed [m, rad].
     Coordinates end at their declared ranges, on request at the limits of joints and closures only, and angles after one
     turn. Poses are those of home's branch, on request of all that the coordinates alone determine.
 
     Raises:
-        InvalidValueError: an unknown coordinate, fewer than two or more than three.
+        InvalidValueError: an unknown coordinate, none or more than three.
         ConvergenceError: the loops do not close at home.
     """
     robot.assemble()  # at home, where searches start
     chosen = names or _default_names(robot)
-    if not 2 <= len(set(chosen)) == len(chosen) <= _MAX_COORDINATES:
-        raise InvalidValueError(
-            "coordinates", ", ".join(chosen) or "none", "two for the sections, and optionally one to stack them"
-        )
+    if not 1 <= len(set(chosen)) == len(chosen) <= _MAX_COORDINATES:
+        expected = "one, or two for the sections, and optionally one to stack them"
+        raise InvalidValueError("coordinates", ", ".join(chosen) or "none", expected)
     coordinates = [robot.coordinate(name) for name in chosen]
     home = np.array([robot.home_coordinates[robot.coordinates.index(coordinate)] for coordinate in coordinates])
     ends = np.array([(-np.pi, np.pi) if c.unit == "rad" else (-np.inf, np.inf) for c in coordinates]) + home[:, None]

@@ -1,4 +1,4 @@
-"""The reachable set over two or three coordinates: ranges, sections, volume, surface, and the limits that bind.
+"""The reachable set over one to three coordinates: ranges, sections, volume, surface, and the limits that bind.
 
 The limits are checked on a dense grid. Contours (contourpy) and surfaces (marching cubes of scikit-image) between the
 poses within the limits and those beyond say which sides of cells the boundary crosses; bisection finds where. So the
@@ -35,6 +35,7 @@ _COARSER = 1e4
 _HALVINGS = 7  # per patch
 _BOUNDARY_HALVINGS, _FEW_HALVINGS = 12, 7  # of the side of a cell
 _FEWEST_DIRECTIONS = 8
+_INTERVAL_POINTS, _PRECISE = 4001, 32  # over a single coordinate: points, and halvings of a step at an end
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +198,35 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
         place = f"{name} = {given[0]:g} {unit} and {given[-1]:g} {unit}"
         raise UnreachablePoseError(f"no pose between {place} is within the limits")
     return Workspace(space, level_range, sections, ends[:2], places[:2, :, 2] if space.stacked else np.zeros((2, 2)))
+
+
+class Interval(NamedTuple):
+    """A part of the reachable set over a single coordinate."""
+
+    ends: tuple[float, float]  #: [m, rad]
+    limits: tuple[tuple[str, ...], tuple[str, ...]]  #: that are broken just beyond each end
+
+
+def reachable_intervals(space: LimitSpace) -> list[Interval]:
+    """Find the reachable set over a single coordinate, in increasing order.
+
+    Raises:
+        InvalidValueError: the space has more coordinates, or the set has no end.
+        UnreachablePoseError: no pose is within the limits.
+    """
+    if len(space.names) != 1:
+        raise InvalidValueError("coordinates", ", ".join(space.names), "a single one")
+    inside, cell = _search(space)
+    first, last = (float(end) for end in (inside.min() - cell[0], inside.max() + cell[0]))
+    nodes = np.linspace(first, last, round(_INTERVAL_POINTS * space.density))[:, None]
+    within = space.within(nodes)
+    edges = np.flatnonzero(within[1:] != within[:-1])
+    ends, flags = _crossings(
+        space, lambda index: nodes[index[:, 0].astype(int)], within, 0.5 + edges[:, None].astype(float), _PRECISE
+    )
+    broken = [tuple(name for bit, name in enumerate(space.limits) if flag >> bit & 1) for flag in flags.tolist()]
+    values = ends[:, 0].tolist()
+    return [Interval((values[k], values[k + 1]), (broken[k], broken[k + 1])) for k in range(0, len(values), 2)]
 
 
 def spaces_by_branch(space: LimitSpace) -> dict[int, LimitSpace]:
@@ -398,7 +428,9 @@ def _nodes(axes: Sequence[Array]) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def _crossings(space: LimitSpace, node: Callable[[Array], Array], inside: Mask, places: Array) -> tuple[Array, Flags]:
+def _crossings(
+    space: LimitSpace, node: Callable[[Array], Array], inside: Mask, places: Array, halvings: int | None = None
+) -> tuple[Array, Flags]:
     """Return where the boundary crosses sides of cells, given their middles as fractional indices, and its limits."""
     low, high = np.floor(places), np.ceil(places)
     index = low.astype(int)
@@ -406,7 +438,7 @@ def _crossings(space: LimitSpace, node: Callable[[Array], Array], inside: Mask, 
     kept = np.zeros((len(places), 1), dtype=bool)
     kept[there, 0] = inside[tuple(index[there].T)]
     inner, outer = (node(np.where(which, low, high)) for which in (kept, ~kept))
-    halvings = _BOUNDARY_HALVINGS if space.density == 1.0 else _FEW_HALVINGS
+    halvings = halvings or (_BOUNDARY_HALVINGS if space.density == 1.0 else _FEW_HALVINGS)
     for _ in range(halvings if len(inner) else 0):
         middle = 0.5 * (inner + outer)
         keeps = space.within(middle)[:, None]

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,14 @@ from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.figures.workspace import branches_figure
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.limit_space import DECLARED_RANGE, Flags, LimitSpace, robot_space
-from pm3dof_pin.maps.workspace import BRANCH, Surface, spaces_by_branch, workspace, workspace_section
+from pm3dof_pin.maps.workspace import (
+    BRANCH,
+    Surface,
+    reachable_intervals,
+    spaces_by_branch,
+    workspace,
+    workspace_section,
+)
 from pm3dof_pin.typing import Array
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -199,3 +207,27 @@ def test_loops_bound_drives_without_limits(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.ranges[0], [-0.5, 0.5], atol=1e-6)
     assert found.ranges[1, 1] == pytest.approx(np.sqrt(0.6**2 - 0.1**2), abs=1e-6)
     assert found.limit_shares["reach"] == pytest.approx(1.0)
+
+
+def test_a_single_coordinate_has_intervals(tmp_path: Path, answer: Callable[..., dict[str, Any]]) -> None:
+    """A line with a hole; and a crank that swings until coupler and rocker are stretched, by the law of cosines."""
+    line = space(lambda x: (np.abs(x[..., 0]) > 1.0) + 2 * (np.abs(x[..., 0] - 0.3) < 0.1), 1)
+    found = reachable_intervals(line)
+    np.testing.assert_allclose([part.ends for part in found], [(-1.0, 0.2), (0.4, 1.0)], atol=1e-9)
+    assert [part.limits for part in found] == [(("limit0",), ("limit1",)), (("limit1",), ("limit0",))]
+    crank, coupler, rocker, ground = 0.2, 0.1, 0.12, 0.24
+    joint = (
+        '<link name="{0}"/><joint name="{0}_joint" type="continuous"><parent link="{1}"/><child link="{0}"/>'
+        '<origin xyz="{2} 0 0" rpy="0 0 {3}"/><axis xyz="0 0 1"/></joint>'
+    )
+    text = '<robot name="bars"><link name="base"/>' + joint.format("crank", "base", 0.0, 0.0)
+    text += joint.format("coupler", "crank", crank, 1.0) + joint.format("rocker", "base", ground, 2.0)
+    text += f'<loop name="tip" type="revolute"><predecessor link="coupler"><origin xyz="{coupler} 0 0"/></predecessor>'
+    text += f'<successor link="rocker"><origin xyz="{rocker} 0 0"/></successor><axis xyz="0 0 1"/></loop></robot>'
+    path = tmp_path / "bars.urdf"
+    path.write_text(text)
+    (tmp_path / "bars.closures.yaml").write_text("name_mot: [crank_joint]\n")
+    (part,) = answer("workspace", "--robot", str(path))["intervals"]
+    end = np.arccos((crank**2 + ground**2 - (coupler + rocker) ** 2) / (2.0 * crank * ground))
+    np.testing.assert_allclose(part["crank_joint_range_rad"], [-end, end], atol=1e-5)
+    assert part["limits"] == [["reach"], ["reach"]]
