@@ -19,6 +19,7 @@ from pm3dof_pin.arrays import frozen, real_array
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.learned_part import LearnedPart
 from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
+from pm3dof_pin.calibration.session_effects import TIME_COLUMN, SessionEffects
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses, weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -39,7 +40,8 @@ from pm3dof_pin.measuring.wrenches import is_wrench, wrenches_of
 from pm3dof_pin.typing import Array, Indices, OnFailure
 
 Conditions = Mapping[str, Array | float]
-"""Temperatures and loads by the names of the measurements' columns, shape=(n,) or one number each."""
+"""Temperatures, loads, times and directions of approach by the names of the measurements' columns, shape=(n,) or one
+number each."""
 
 _MAX_ITERATIONS = 30
 _SETTLED = 1e-13  # of the drives' joints, in addition to the rounding of their counters
@@ -78,11 +80,15 @@ class Compensation:
     #: by spring, its identified stiffness over that of the description, and the standard deviation of the ratio's
     #: logarithm; springs not named are as described
     stiffness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    session: SessionEffects = field(default_factory=SessionEffects)  #: hysteresis and drift, as identified
 
     @classmethod
     def from_identification(cls, found: Identification, eta: float = TIP_LENGTH) -> Compensation:
         """Return the compensation by everything that was identified, certain or not."""
-        return cls(found.errors, found.values, found.seen_covariance, eta=eta, stiffness=found.stiffness)
+        session = SessionEffects.from_identification(found)
+        return cls(
+            found.errors, found.values, found.seen_covariance, eta=eta, stiffness=found.stiffness, session=session
+        )
 
     @cached_property
     def model(self) -> Robot:
@@ -119,16 +125,23 @@ class Compensation:
         return replace(unloaded, conditions=others)
 
     def with_usual_conditions(self, given: Conditions) -> dict[str, Array | float]:
-        """Fill in missing conditions with the middle of the measured range.
+        """Fill in missing temperatures and loads with the middle of the measured range.
+
+        Times and directions of approach stay unknown.
 
         Raises:
-            InvalidValueError: a condition that was not learned from, and is not a wrench on the springs.
+            InvalidValueError: a condition that was not learned from, nor identified, and is not a wrench on the
+                springs; or a direction other than 1, -1 and 0.
         """
         usual: dict[str, Array | float] = {} if self.learned is None else {**self.learned.inputs.middle()}
-        unknown = set(given) - set(usual)
-        for name in sorted(name for name in unknown if not (self.bears_wrenches and is_wrench(name))):
-            known = ", ".join(usual) or "none: the correction depends on no condition"
-            raise InvalidValueError("condition", name, f"one of {known}")
+        session = self.session.columns(len(self.errors.robot.commands))
+        for name in sorted(set(given) - set(usual) - set(session)):
+            if not (self.bears_wrenches and is_wrench(name)):
+                known = ", ".join([*usual, *session]) or "none: the correction depends on no condition"
+                raise InvalidValueError("condition", name, f"one of {known}")
+        for name in sorted(set(given) & set(session) - {TIME_COLUMN}):
+            if not np.isin(given[name], (-1.0, 0.0, 1.0)).all():
+                raise InvalidValueError(name, given[name], "1 or -1, the direction in which the drive arrives, or 0")
         return usual | dict(given)
 
     def compensate(
@@ -145,7 +158,9 @@ class Compensation:
         Args:
             wanted: a pose of the robot as described, or poses of shape (n,), or homogeneous transforms of the tool,
                 shape=(4, 4) or (n, 4, 4).
-            conditions: temperatures and loads, named as the measurements' columns.
+            conditions: temperatures and loads, named as the measurements' columns; where they were identified, also the
+                directions `approach_u1` ... in which the drives arrive, to correct hysteresis, and `time_s`, to correct
+                drift. See :mod:`pm3dof_pin.calibration.session_effects`.
             on_failure: "raise", or "nan" for singular poses and poses out of reach.
             with_deviations: whether to compute the deviations, which takes a third of the time; otherwise NaN.
             progress: called with the number of poses done and the total.
@@ -204,9 +219,10 @@ class Compensation:
             taken, model = rows[model.solved], model[model.solved]
             part: Conditions = {name: values[taken] for name, values in given.items()}
             nearest = self._nearest(nominal[taken], model, part, on_failure)
-            commands = self._corrected(nearest.commands, part)
+            commands = self._corrected(nearest.commands, part) - self.session.counter_shifts(part, nearest)
             deviations = self._deviations(nominal[taken], model, part) if with_deviations else np.nan
             left, spread = self._left_over(nominal[taken], nearest, part)
+            signed = self.session.signed_effects(part, nearest, self.eta)
         except (SingularConfigurationError, UnreachablePoseError):
             if on_failure == "raise":
                 raise
@@ -216,7 +232,7 @@ class Compensation:
             return
         answer.commands[taken], answer.deviations[taken] = commands, deviations
         answer.predicted_error[taken] = np.sqrt(np.sum(left**2, axis=1) + np.einsum("nii->n", spread))
-        answer.error_bound[taken] = norm_quantiles(left, spread, COVERAGE)
+        answer.error_bound[taken] = norm_quantiles(left, spread, COVERAGE, signed)
 
     def poses(self, nominal: Poses, conditions: Conditions | None = None) -> Poses:
         """Predict the machine's poses at the commands of nominal poses, under conditions by name.
@@ -253,13 +269,14 @@ class Compensation:
     def _nearest(self, nominal: Poses, model: Poses, conditions: Conditions, on_failure: OnFailure = "raise") -> Poses:
         """Return the unloaded poses of the model that come nearest to the nominal ones under the given wrenches."""
         wrenches = self._wrenches(conditions, len(nominal))
-        if wrenches is None and self.values is None:
+        wanted = self.session.before_drift(nominal.transforms, conditions, nominal)
+        if wrenches is None and self.values is None and wanted is nominal.transforms:
             return model
         if wrenches is None:
-            return nearest_poses(model, nominal.transforms, self.eta, on_failure=on_failure)
+            return nearest_poses(model, wanted, self.eta, on_failure=on_failure)
         nearest = model
         for _ in range(_UNLOADINGS):
-            unloaded = moved_pose(nominal.transforms, -self._by_spring(nearest, wrenches).sum(axis=1))
+            unloaded = moved_pose(wanted, -self._by_spring(nearest, wrenches).sum(axis=1))
             nearest = nearest_poses(nearest, unloaded, self.eta, on_failure=on_failure)
         return nearest
 
@@ -299,9 +316,13 @@ class Compensation:
     def _left_over(self, nominal: Poses, nearest: Poses, conditions: Conditions) -> tuple[Array, Array]:
         """Return mean and covariance of the tip-weighted error with corrected commands, (n, 6) and (n, 6, 6)."""
         reached = self._deflected(nearest, conditions)
-        left = pose_difference(nominal.transforms, reached.transforms) * tip_weights(self.eta)
+        wanted = self.session.before_drift(nominal.transforms, conditions, nominal)
+        left = pose_difference(wanted, reached.transforms) * tip_weights(self.eta)
         control = weighted_control(nearest, self.eta)
-        return left, self.covariances(nearest, conditions) + self.scatter.covariances(control)
+        drift = self.session.common_effects(conditions, nearest, self.eta)
+        spread = self.covariances(nearest, conditions) + self.scatter.covariances(control)
+        spread += drift @ np.swapaxes(drift, 1, 2) + self.session.scatter(conditions, nearest, self.eta)
+        return left, spread
 
     def effects(self, poses: Poses) -> Array:
         """Return the tip-weighted tool motion by the parameters of `covariance`, shape=(n, 6, its rows)."""
@@ -322,14 +343,22 @@ class Compensation:
     def rms_interval(self, wanted: Poses) -> tuple[float, float] | None:
         """Return an interval of the tip error with corrected commands [m], root mean square over poses, unloaded.
 
-        Its probability is :data:`COVERAGE`; None for a learning method. See
-        :mod:`pm3dof_pin.calibration.scatter`.
+        Its probability is :data:`COVERAGE`, for others of as many poses drawn in the same way, in any order and at any
+        time; None for a learning method. See :mod:`pm3dof_pin.calibration.scatter`.
         """
         if self.learned is not None:
             return None
         nearest = self._nearest(wanted, self.model_poses(wanted), {}, "nan")
-        left, _ = self._left_over(wanted, nearest, {})
-        return self.scatter.rms_interval(left, self.standard_effects(nearest), weighted_control(nearest, self.eta))
+        left, spread = self._left_over(wanted, nearest, {})
+        effects = [self.standard_effects(nearest), self.session.common_effects({}, nearest, self.eta)]
+        squares = np.sum(left**2, axis=1) + np.einsum("nii->n", spread)
+        return self.scatter.rms_interval(
+            left,
+            np.concatenate(effects, axis=2),
+            weighted_control(nearest, self.eta),
+            beside=self.session.scatter({}, nearest, self.eta),
+            variance=self.session.mean_square_variance(nearest, self.eta) + 2.0 * float(squares.var()) / len(squares),
+        )
 
     def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
         """Return the covariance of predicted poses, without the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""

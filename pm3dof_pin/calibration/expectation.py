@@ -27,7 +27,7 @@ from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices, Mask
 
-_POSES = 60  # number of poses of the workspace
+_POSES = 2000  # number of poses of the workspace: their rms is known to a percent or two
 _WHOLE = 0.995  # fraction of a correction that counts as all
 _POORLY_DESCRIBED = 2.0  # noise factor from which the parameters do not describe the machine
 _MIN_VISITS = 3  # of a pose, for a row in the table
@@ -226,6 +226,8 @@ def _advice(calibration: Fit, validation: HeldOut | None, budget: Mapping[str, f
         "targets": "is due to target positions, drift or hysteresis: measure the targets themselves, or more rows",
         "parameters": "is due to unobserved parameters: measure full poses, or targets away from the tool point",
         "learned": "is due to the learned part: measure more poses",
+        "drift": "is drift: let the machine warm up, or give compensate the time (--condition time_s=...)",
+        "hysteresis": "is hysteresis: arrive from one side, or give compensate the directions (--approach)",
         "unmodelled": f"is unmodelled: use {more}known temperatures and loads",
         "repeatability": "is repeatability, which no calibration improves",
     }[largest]
@@ -237,8 +239,9 @@ def _uncertainty_budget(calibration: Fit, poses: Poses, repeated: Repeatability 
     """Return each source's contribution to the corrected machine's tip error, root mean square over desired poses [m].
 
     "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": their positions, with
-    drift and hysteresis; "parameters": unobserved ones; "learned"; "unmodelled"; "repeatability". The squares sum up to
-    the square of the expected tip error.
+    with the uncertainty that drift and hysteresis bring to them; "parameters": unobserved ones; "learned"; "drift" and
+    "hysteresis": of the machine at work, whose time and directions are not known; "unmodelled"; "repeatability". The
+    squares sum up to the square of the expected tip error.
     """
     compensation, found = calibration.compensation, calibration.identification
     weights = tip_weights(compensation.eta)
@@ -263,6 +266,10 @@ def _uncertainty_budget(calibration: Fit, poses: Poses, repeated: Repeatability 
         spread = compensation.learned.uncertainties(model.commands, conditions)
         parts["learned"] = float(np.mean(np.sum((control * spread[:, None, :]) ** 2, axis=(1, 2))))
     scatter = compensation.scatter.tip_error**2
+    drift = compensation.session.common_effects({}, model, compensation.eta)
+    parts["drift"] = float(np.sum(drift**2)) / len(poses)
+    left = compensation.session.scatter({}, model, compensation.eta)
+    parts["hysteresis"] = float(np.mean(np.einsum("nii->n", left)))
     parts["repeatability"] = 0.0 if repeated is None else min(scatter, repeated.tip_sigma**2)
     parts["unmodelled"] = scatter - parts["repeatability"]
     return {name: float(np.sqrt(max(value, 0.0))) for name, value in parts.items()}

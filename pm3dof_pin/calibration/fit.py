@@ -20,6 +20,7 @@ from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_
 from pm3dof_pin.calibration.linearisation import Loss
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.calibration.scatter import Scatter
+from pm3dof_pin.calibration.session_effects import SessionEffects
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
@@ -156,7 +157,8 @@ def fit(
     compensation = compensation_from(shown, errors, options, identification if options.identifies else None)
     if options.identifies:
         shown = compensation.without_loads(shown)
-    compensation = replace(compensation, scatter=_scatter(compensation, shown, identification))
+    session = SessionEffects.from_identification(identification)
+    compensation = replace(compensation, scatter=_scatter(compensation, shown, identification), session=session)
     return Fit(options, identification.measurements, identification, compensation, warnings)
 
 

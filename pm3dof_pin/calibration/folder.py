@@ -30,6 +30,7 @@ from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.calibration.scatter import Scatter
+from pm3dof_pin.calibration.session_effects import SessionEffects
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.exceptions import DescriptionError
@@ -224,6 +225,10 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
         "values": None if compensation.values is None else compensation.values.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
         "stiffness": {name: list(pair) for name, pair in compensation.stiffness.items()},
+        "session": {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in vars(compensation.session).items()
+        },
         "inputs": scale,
         "pseudo_error": None if learned is None else learned.model.as_data(),
     }
@@ -248,6 +253,20 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
         float(data["eta_m_per_rad"]),
         Scatter(everywhere, np.array(data.get("scatter_of_drives", []), dtype=float), size),
         {name: (float(factor), float(sigma)) for name, (factor, sigma) in data.get("stiffness", {}).items()},
+        _session(data.get("session", {})),
+    )
+
+
+def _session(data: Mapping[str, Any]) -> SessionEffects:
+    if not data:
+        return SessionEffects()
+    hysteresis, drift = (np.array(data[name], dtype=float) for name in ("hysteresis", "drift"))
+    covariances = [
+        np.array(data[f"{name}_covariance"], dtype=float).reshape(2 * values.shape)
+        for name, values in (("hysteresis", hysteresis), ("drift", drift))
+    ]
+    return SessionEffects(
+        hysteresis, covariances[0], drift, covariances[1], float(data["start"]), float(data["duration"])
     )
 
 
@@ -311,7 +330,8 @@ def _measurements_summary(calibration: Fit) -> dict[str, Any]:
 
 def _identification_summary(found: Identification) -> dict[str, Any]:
     errors = found.errors
-    rows = zip(errors.names, found.values, found.sigmas, errors.tolerances, errors.units, strict=True)
+    data = np.where(np.isfinite(found.data_sigmas), found.data_sigmas, found.sigmas)
+    rows = zip(errors.names, found.values, data, found.sigmas, errors.tolerances, errors.units, strict=True)
     return {
         "prior_tolerances": found.prior,
         "steps": found.steps,
@@ -319,8 +339,14 @@ def _identification_summary(found: Identification) -> dict[str, Any]:
         "says_nothing_about": list(found.identifiability.unidentified),
         "says_little_about": list(found.prior_dominated),
         "parameters": {
-            name: {"value": float(value), "sigma": float(sigma), "tolerance": float(tolerance), "unit": unit}
-            for name, value, sigma, tolerance, unit in rows
+            name: {
+                "value": float(value),
+                "sigma_of_the_data": float(of_data),
+                "sigma": float(sigma),
+                "tolerance": float(tolerance),
+                "unit": unit,
+            }
+            for name, value, of_data, sigma, tolerance, unit in rows
         },
         "stiffness": {
             name: {"factor": factor, "sigma_of_logarithm": sigma} for name, (factor, sigma) in found.stiffness.items()

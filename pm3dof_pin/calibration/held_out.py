@@ -9,18 +9,20 @@ import numpy as np
 
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.fit import MIN_POSES, Fit, compensation_from
-from pm3dof_pin.calibration.identification import identify
+from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
 from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
-from pm3dof_pin.errors.pose_error import pose_difference, weighted_energy
+from pm3dof_pin.errors.pose_error import pose_difference, tip_weights, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _FOLDS = 5
 _MOVED = 0.01  # [m, rad]: farther than a machine's errors move its base
+_UNSEEN = 1e-9  # relative size of motions of base and tool that no measurement shows
 _FLOOR_SEEN = 1e-3  # full poses show all directions, but near a singular pose a useful one can be tiny
 
 
@@ -30,7 +32,9 @@ class HeldOut:
 
     Attributes:
         rows: the measurements used, shape=(n,).
-        before: tip error of the machine as described, shape=(visits,) [m].
+        before: tip error of the machine as described, shape=(visits,) [m]. If the instrument's frame or the points seen
+            were estimated, this and the next two are errors after a registration of their own each: a frame that suits
+            the calibrated machine would be held against the others.
         after: tip error with the corrected commands, the measurements' noise included, shape=(visits,) [m].
         floor: tip error with the best commands, the measurements' noise included, shape=(visits,) [m].
         noise: tip error due to the measurements' noise, root mean square, shape=(visits,) [m].
@@ -106,13 +110,12 @@ class HeldOut:
 
         The frame is the identified one, or if the instrument has clearly moved, one found from these alone.
         """
+        compensation, found = calibration.compensation, calibration.identification
         measurements, notes = _of_their_own_station(calibration, measurements)
-        settled = calibration.identification.settle(measurements)
-        compensation = calibration.compensation
-        scores = _scores_of(compensation, settled, compensation)
+        scores = _scores_of(compensation, found.settle(measurements), compensation)
         scatter = compensation.scatter
-        found = _together(calibration, np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
-        return replace(found, notes=notes)
+        judged = _together(calibration, np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
+        return replace(judged, notes=notes)
 
 
 def _of_their_own_station(calibration: Fit, measurements: Measurements) -> tuple[Measurements, tuple[str, ...]]:
@@ -139,7 +142,9 @@ class _Scores:
     """Quantities by which each visit is judged, shape=(visits, ...) each.
 
     Attributes:
-        sizes: before, after, floor, noise, E of the first three, shape=(visits, 7).
+        found: tip-weighted errors before, after and with the best commands, shape=(visits, 3, 6) [m].
+        noise: tip error due to the measurements' noise, shape=(visits,) [m].
+        moved: the same by motions of base and tool, shape=(visits, 6, 12).
         missed: errors of the predicted poses, tip-weighted, shape=(visits, 6) [m].
         covariances: their known covariance, shape=(visits, 6, 6) [m^2].
         shown: projections on the directions that are shown, shape=(visits, 6, 6).
@@ -149,7 +154,9 @@ class _Scores:
             6, directions) [m]; no directions for a learning method.
     """
 
-    sizes: Array
+    found: Array
+    noise: Array
+    moved: Array
     missed: Array
     covariances: Array
     shown: Array
@@ -179,10 +186,9 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
     true = pseudo_errors(measurements, nominal, eta)
     best = pseudo_errors(measurements, nominal, eta, seen=_FLOOR_SEEN).left if true.whole else true.left
     reached = compensation.errors.robot.forward(nominal.commands + predicted, guess=nominal.q)
-    errors = (true.before, seen_errors(measurements, reached, eta).errors, best)
-    tips = [np.linalg.norm(each, axis=1) for each in errors]
+    errors = np.stack([true.before, seen_errors(measurements, reached, eta).errors, best], axis=1)
     noise = np.sqrt(np.einsum("nii->n", true.seen.covariances))
-    sizes = np.stack([*tips, noise, *map(weighted_energy, errors)], axis=1)
+    moved = datum_motions(nominal) * tip_weights(eta)[:, None]
     model = compensation.poses(nominal, visits.conditions)
     left = seen_errors(measurements, model, eta)
     uncertain = compensation.covariances(model, visits.conditions)
@@ -193,16 +199,29 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
     if compensation.values is None:
         blind = np.linalg.matrix_rank(control_inverse(true.control)) < control.shape[2]
         of_all[blind] = np.nan
-    return _Scores(sizes, left.errors, known, left.shown, control, of_all, effects)
+    return _Scores(errors, noise, moved, left.errors, known, left.shown, control, of_all, effects)
 
 
 def _together(calibration: Fit, rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
     """Combine the errors, with `scatter` for the bounds and the certain part of it, `sure`, for the excess."""
-    before, after, floor, noise, *energies = scores.sizes.T
+    errors = _registered(scores, calibration.identification)
+    before, after, floor = np.linalg.norm(errors, axis=2)
+    energies = np.array([weighted_energy(each) for each in errors])
     gains, left = control_inverse(scores.control), sure.covariances(scores.control)
     excess = np.sqrt(np.einsum("nij,njk,nik->n", gains, scores.uncertain + left, gains) / gains.shape[1])
     spread = scores.covariances + scores.shown @ scatter.covariances(scores.control) @ scores.shown
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
     interval = sure.excess_interval(scores.effects, scores.control) if calibration.scatters else None
-    return HeldOut(rows, before, after, floor, noise, excess, interval, scatter, within, np.array(energies))
+    return HeldOut(rows, before, after, floor, scores.noise, excess, interval, scatter, within, energies)
+
+
+def _registered(scores: _Scores, found: Identification) -> Array:
+    """Return the errors, each without what motions of an unknown base and of unknown points explain, (3, visits, 6)."""
+    kinds = {part.kind for part in found.nuisances.parts}
+    columns = np.repeat(["frame" in kinds, bool(kinds & {"targets", "tool_point"})], 6)
+    errors = np.swapaxes(scores.found, 0, 1).reshape(3, -1)
+    if columns.any():
+        moved = (scores.shown @ scores.moved[:, :, columns]).reshape(-1, int(columns.sum()))
+        errors = errors - (moved @ np.linalg.lstsq(moved, errors.T, rcond=_UNSEEN)[0]).T
+    return np.asarray(errors.reshape(3, -1, 6))

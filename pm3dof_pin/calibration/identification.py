@@ -52,9 +52,9 @@ class Identification:
     #: joint covariance of p, the logarithms of stiffness and y, given noise and prior. The noise is that of the
     #: residuals if larger than the sigmas say; the prior is one standard error of k wider
     joint_covariance: Array
-    #: standard deviation of each parameter as a property of the machine's parts, shape=(number of parameters,) [m,
-    #: rad]. Larger than in the covariance, by the shift from smooth unmodelled effects hidden in the noise: they
-    #: falsify parameters, but not the poses predicted from these
+    #: standard deviation of each parameter with what the data cannot tell, shape=(number of parameters,) [m, rad]:
+    #: larger than :attr:`data_sigmas` by the shift from smooth unmodelled effects that would be hidden in the noise.
+    #: They falsify parameters, but not the poses predicted from these
     sigmas: Array
     prior: float  #: k, prior standard deviation in units of the tolerances; infinite for none
     prior_error: float  #: relative standard error of k
@@ -122,6 +122,11 @@ class Identification:
         """Each spring's stiffness over that of the description, and the standard deviation of the ratio's logarithm."""
         pairs = zip(np.exp(self.stiffness_logarithms).tolist(), self.stiffness_sigmas.tolist(), strict=True)
         return dict(zip(self.elastic.springs, pairs, strict=True))
+
+    @property
+    def data_sigmas(self) -> Array:
+        """Standard deviation of each parameter by what the data say, given noise and prior, shape=(parameters,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def covariance(self) -> Array:

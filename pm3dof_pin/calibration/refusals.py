@@ -53,10 +53,10 @@ def doubts(calibration: Fit, measurements: Measurements) -> Iterator[str]:
     change = _change_in_the_middle(calibration) if found.noise_factor > _NOISY else ""
     if change:
         yield f"residuals are {found.noise_factor:.3g} times the noise: most likely {change}"
-    elif found.noise_factor > _LOUD:
+    elif found.noise_factor >= _NOISY:
         yield (
-            f"{noise}: {_rounded(found.measurements)}effects that the parameters do not describe, rows of another "
-            "state of the machine, or sigmas that are too small"
+            f"residuals are {found.noise_factor:.3g} times the noise: {_rounded(found.measurements)}effects that the "
+            "parameters do not describe, rows of another state of the machine, or sigmas that are too small"
         )
     elif noise:
         yield noise

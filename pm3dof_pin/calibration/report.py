@@ -119,6 +119,8 @@ def _budget(summary: Mapping[str, Any]) -> list[str]:
         "targets": "target positions, drift, hysteresis",
         "parameters": "unobserved parameters",
         "learned": "learned part",
+        "drift": "drift, at an unknown time of a session",
+        "hysteresis": "hysteresis, drives arriving from either side",
         "unmodelled": "unmodelled effects",
         "repeatability": "repeatability",
     }
@@ -136,7 +138,8 @@ def _budget(summary: Mapping[str, Any]) -> list[str]:
             chance = "significant" if summary[kind]["more_than_chance"] else "not significant"
             parts.append(
                 f"<p>{kind.capitalize()}: {size:.1f} ± {sigma:.1f} µm at the tip, {chance}. It is removed from the "
-                "identification, not corrected.</p>"
+                "identification, and counts above; commands correct it where they are told the "
+                f"{'time' if kind == 'drift' else 'directions in which the drives arrive'}.</p>"
             )
     if (repeated := summary.get("repeatability")) is not None:
         parts.append(
@@ -184,9 +187,15 @@ def _accuracy(summary: Mapping[str, Any], kind: str, picture: Figure | None, tit
 
 def _parameters(found: Identification, picture: Figure) -> list[str]:
     rows = [
-        (name, f"{1e6 * value:.2f}", f"{1e6 * sigma:.2f}", f"{1e6 * tolerance:.0f}", f"µ{unit}")
-        for name, value, sigma, tolerance, unit in zip(
-            found.errors.names, found.values, found.sigmas, found.errors.tolerances, found.errors.units, strict=True
+        (name, *(f"{1e6 * number:.2f}" for number in numbers), f"{1e6 * tolerance:.0f}", f"µ{unit}")
+        for name, *numbers, tolerance, unit in zip(
+            found.errors.names,
+            found.values,
+            found.data_sigmas,
+            found.sigmas,
+            found.errors.tolerances,
+            found.errors.units,
+            strict=True,
         )
     ]
     silent = [
@@ -200,8 +209,11 @@ def _parameters(found: Identification, picture: Figure) -> list[str]:
         "known better than their tolerances. The grey band is the tolerance; before the measurements the standard "
         f"deviation was {found.prior:g} tolerances.</p>",
         f"<ul>{remarks}</ul>",
+        "<p>The first sigma is what the data say, given their noise and the tolerances. The second adds what they "
+        "cannot tell: smooth effects that no parameter describes, hidden in the noise, may shift the parameters by as "
+        "much.</p>",
         _image(picture, "identified parameters with their uncertainties"),
-        _table(("parameter", "value", "sigma", "tolerance", "unit"), rows),
+        _table(("parameter", "value", "sigma of the data", "sigma with hidden effects", "tolerance", "unit"), rows),
         *_stiffness(found),
     ]
 

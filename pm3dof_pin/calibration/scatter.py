@@ -126,7 +126,14 @@ class Scatter:
         return float(squares @ self.uncertainty @ squares)
 
     def rms_interval(
-        self, fixed: Array, effects: Array, control: Array, gains: Array | None = None
+        self,
+        fixed: Array,
+        effects: Array,
+        control: Array,
+        gains: Array | None = None,
+        *,
+        beside: Array | float = 0.0,
+        variance: float = 0.0,
     ) -> tuple[float, float]:
         """Return the interval that holds the root mean square with the probability :data:`COVERAGE`.
 
@@ -136,13 +143,16 @@ class Scatter:
             control: tip-weighted motion of the tool by the drives' joints, which the scatter depends on, shape=(n, 6,
                 drives).
             gains: G, shape=(n, k, 6); None for the tip-weighted error itself, k = 6.
+            beside: covariance of other errors that are independent from pose to pose, shape=(n, 6, 6) [m^2].
+            variance: of the mean square, due to anything else, such as the choice of the poses [m^4].
         """
         count = len(fixed)
         gains = np.broadcast_to(np.eye(6), (count, 6, 6)) if gains is None else gains
         flat, known = np.concatenate(effects) / np.sqrt(count), fixed.ravel() / np.sqrt(count)
-        product, scattered = flat.T @ flat, np.einsum("nij,njk,nik->", gains, self.covariances(control), gains) / count
+        spread = self.covariances(control) + beside
+        product, scattered = flat.T @ flat, np.einsum("nij,njk,nik->", gains, spread, gains) / count
         mean = float(known @ known + np.trace(product) + scattered)
-        variance = 2.0 * np.sum(product**2) + 4.0 * np.sum((known @ flat) ** 2)
+        variance += 2.0 * np.sum(product**2) + 4.0 * np.sum((known @ flat) ** 2)
         variance += self.mean_square_variance(gains, control)
         freedom = 2.0 * mean**2 / float(variance)
         low, high = np.sqrt(2.0 * mean * scipy.special.gammaincinv(0.5 * freedom, _PROBABILITIES) / freedom).tolist()

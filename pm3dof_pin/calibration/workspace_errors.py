@@ -13,6 +13,7 @@ from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.registration import register
 from pm3dof_pin.typing import Array, Mask
 
 _POINTS = 41  # along each coordinate
@@ -26,7 +27,8 @@ class WorkspaceErrors:
         names: the two coordinates.
         units: their units, "rad" or "m".
         coordinates: their values, shape=(points,) each [m, rad].
-        before: tip error with the commands of the description, shape=(points, points) [m].
+        before: tip error with the commands of the description, after a registration of its own if the instrument has
+            its own frame, shape=(points, points) [m].
         after: tip error expected with corrected commands [m].
         floor: part of `before` that no command corrects, according to the calibrated model [m]; None for a method
             without parameters.
@@ -70,6 +72,10 @@ class WorkspaceErrors:
         if compensation.values is not None:
             nearest = nearest_poses(nominal, seen, compensation.eta, on_failure="nan").transforms
             floor = spread(tip_error(pose_difference(nearest, seen), compensation.eta))
+        if calibration.measurements.registration is not None:  # the robot as described has another base
+            found = register(seen[:, :3, 3], nominal.positions, seen[:, :3, :3], nominal.rotations)
+            seen = seen.copy()
+            seen[:, :3, 3], seen[:, :3, :3] = found.positions(seen[:, :3, 3]), found.rotations(seen[:, :3, :3])
         first, second = grid.dims
         return cls(
             (first, second),

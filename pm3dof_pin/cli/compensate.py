@@ -11,6 +11,7 @@ import typer
 
 from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
 from pm3dof_pin.calibration.folder import read_compensation
+from pm3dof_pin.calibration.session_effects import approach_columns, approaches_along
 from pm3dof_pin.cli.options import Json, OutFile, PlaceOptions, PoseOptions, Wrench
 from pm3dof_pin.cli.output import message, progress_bar, table_lines
 from pm3dof_pin.cli.poses import (
@@ -26,8 +27,11 @@ from pm3dof_pin.kinematics.pose_file import readings
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
+from pm3dof_pin.typing import Array
 
 _SAME = 1e-9  # greatest difference between tool positions [m]
+_PATH = "path"
+_SIGNS = {"+": 1.0, "-": -1.0, "1": 1.0, "+1": 1.0, "-1": -1.0, "0": 0.0}
 _TRIED = 0.01  # motion of a drive [characteristic lengths, rad]
 
 
@@ -50,7 +54,18 @@ def compensate(
     out: OutFile = None,
     condition: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="A temperature or load, named as its column; may be repeated."),
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="A temperature, a load, or the time (time_s) for drift, named as its column; may be repeated.",
+        ),
+    ] = None,
+    approach: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIGNS|path",
+            help="Correct hysteresis: the direction in which each drive arrives, such as +,-,0 (0: unknown); or path, "
+            "for poses in the order of the file.",
+        ),
     ] = None,
     wrench: Wrench = None,
     as_json: Json = False,
@@ -61,18 +76,29 @@ def compensate(
     status 1.
     """
     chosen = PoseOptions(pose=at.pose, configuration=at.configuration, poses=poses, out=out)
-    given = _conditions(condition or []) | dict(zip(WRENCH_COLUMNS, wrench or (), strict=False))
+    given: dict[str, Array | float] = {
+        **_conditions(condition or []),
+        **dict(zip(WRENCH_COLUMNS, wrench or (), strict=False)),
+    }
     known = read_compensation(calibration)
     machine = known.errors.robot
+    columns_of_approach = approach_columns(len(machine.commands))
+    if approach is not None and not known.session.hysteresis.size:
+        raise InvalidValueError("--approach", approach, "a calibration with hysteresis (time_s or approach_u1 ...)")
+    if approach is not None and approach != _PATH:
+        given |= _directions(approach, columns_of_approach)
     if robot is not None and not _moves_alike(asked := _loaded(robot, machine), machine):
         found = machine.name if asked.name != machine.name else f"another {machine.name}"
         raise InvalidValueError("--calibration", calibration, f"a calibration of {asked.name}, not of {found}")
     if chosen.is_empty:
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
     if chosen.poses is not None:
-        names = () if known.learned is None else known.learned.inputs.conditions
+        learned = () if known.learned is None else known.learned.inputs.conditions
+        names = (*learned, *known.session.columns(len(machine.commands)))
         table = read_table(machine, chosen.poses, used=names)
         many, numbers = table.poses, {name: table.others[name] for name in names if name in table.others}
+        if approach == _PATH:
+            given |= dict(zip(columns_of_approach, approaches_along(many.commands).T, strict=True))
         conditions = _completed(known, {**given, **numbers})
         with progress_bar("compensating") as progress:
             answer = known.compensate(many, conditions, on_failure="nan", with_deviations=False, progress=progress)
@@ -85,6 +111,8 @@ def compensate(
         }
         write_batch(many, columns, out, as_json)
         return
+    if approach == _PATH:
+        raise typer.BadParameter("--approach path needs the poses of a path (--poses); for one pose give signs: +,-,0")
     solved = place(machine, chosen)
     conditions = _completed(known, given)
     answer = known.compensate(solved.reshape(1), conditions)
@@ -128,6 +156,14 @@ def _completed(compensation: Compensation, given: Conditions) -> Conditions:
             words = f"{name} = {value:.4g} is" if isinstance(value, float) else f"some {name} are"
             message(f"pm3dof: {words} outside the measured range {least:.4g} .. {most:.4g}: it is extrapolated")
     return complete
+
+
+def _directions(words: str, columns: tuple[str, ...]) -> dict[str, float]:
+    signs = [_SIGNS.get(word.strip()) for word in words.split(",")]
+    if None in signs or len(signs) != len(columns):
+        expected = f"{len(columns)} directions, such as {','.join('+-0'[k % 3] for k in range(len(columns)))}, or path"
+        raise typer.BadParameter(f"--approach {words}: expected {expected}")
+    return {name: sign for name, sign in zip(columns, signs, strict=True) if sign is not None}
 
 
 def _lines(robot: Robot, answer: Compensated) -> list[str]:

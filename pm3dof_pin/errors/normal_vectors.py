@@ -10,6 +10,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array, Matrix
 
 _ROUNDING = 1e-6  # of the greatest standard deviation; its square is well above rounding
+_SYMMETRIC = 1e-3  # skewness that counts as none
 _EXPONENTS = np.arange(-72.0, 72.25, 0.5)  # the integrand decays as exp(-|y| / 2); this spacing gives ten digits
 
 
@@ -49,7 +50,7 @@ def mean_radius(spreads: ArrayLike) -> Array:
     return np.asarray(2.0 * np.sqrt(2.0 / np.pi) * scipy.special.elliprg(s[..., 0], s[..., 1], s[..., 2]))
 
 
-def norm_quantiles(means: Array, covariances: Array, probability: float) -> Array:
+def norm_quantiles(means: Array, covariances: Array, probability: float, signed: Array | None = None) -> Array:
     """Return the lengths that normal vectors do not exceed with a probability, shape=(...).
 
     Means have shape=(..., k), covariances shape=(..., k, k). The square of the length, Q = |m + e|^2 with e of
@@ -59,6 +60,10 @@ def norm_quantiles(means: Array, covariances: Array, probability: float) -> Arra
 
     A scaled and shifted chi square distribution with the same three (E. Pearson, Biometrika 46, 1959) gives its upper
     quantiles, from 90 to 99 % to within 1.5 % of the length. It is not accurate for low ones.
+
+    Parts c of the covariance, in the columns of `signed`, shape=(..., k, d), are not normal but added or subtracted
+    with equal probability. As their squares are certain, each reduces k2 by 2 |c|^4 and k3 by
+    24 |c|^2 (c.C c + (m.c)^2) - 16 |c|^6. Quantiles are then within 10 %, instead of up to twice too long.
 
     Raises:
         InvalidValueError: the probability is not at least 0.5 and less than 1.
@@ -70,6 +75,13 @@ def norm_quantiles(means: Array, covariances: Array, probability: float) -> Arra
     first = np.einsum("...ii->...", covariances) + np.sum(means**2, axis=-1)
     variance = 2.0 * np.einsum("...ii->...", second) + 4.0 * np.sum(means * moved, axis=-1)
     third = 8.0 * np.einsum("...ij,...ji->...", second, covariances) + 24.0 * np.sum(moved**2, axis=-1)
+    if signed is not None:
+        sizes = np.sum(signed**2, axis=-2)
+        mixed = np.sum(signed * (covariances @ signed), axis=-2) + np.einsum("...ij,...i->...j", signed, means) ** 2
+        variance = variance - 2.0 * np.sum(sizes**2, axis=-1)
+        variance = np.where(variance > _ROUNDING**2 * first**2, variance, 0.0)
+        third = third - np.sum(24.0 * sizes * mixed - 16.0 * sizes**3, axis=-1)
+        third = np.maximum(third, _SYMMETRIC * variance**1.5) * (variance > 0.0)  # chi squares have a positive skewness
     spreads = third > 0.0
     safe_third = np.where(spreads, third, 1.0)
     freedom = np.where(spreads, 8.0 * variance**3 / safe_third**2, 1.0)

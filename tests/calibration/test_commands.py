@@ -136,8 +136,8 @@ def test_a_frame_of_the_instruments_own(place: Path, run: Run, answer: Answer) -
     np.testing.assert_allclose(base["position_m"], [2.0, 0.0, 0.5], atol=5e-3)
     np.testing.assert_allclose(np.abs(base["quaternion_wxyz"]), [0.0, 1.0, 0.0, 0.0], atol=1e-2)
     tips = [found["held_out"][f"tip_error_{when}_m"]["mean"] for when in ("floor", "after", "before")]
-    assert tips == sorted(tips)
-    assert tips[1] < 1.05 * tips[0]
+    assert tips == sorted(tips)  # each after a registration of its own
+    assert tips[1] < 1.1 * tips[0]
 
 
 @pytest.mark.usefixtures("report_without_pictures")

@@ -118,6 +118,7 @@ def test_the_summary_says_what_was_found(calibration: Calibration, folder: Path)
     place = found.errors.names.index("O_e.tx")
     assert entry == {
         "value": found.values[place],
+        "sigma_of_the_data": found.data_sigmas[place],
         "sigma": found.sigmas[place],
         "tolerance": 1e-4,
         "unit": "m",
