@@ -26,7 +26,7 @@ def test_another_dialect_describes_the_same_mechanism(tmp_path: Path, name: str,
     robot = Robot.load(name)
     done = convert_robot(name, tmp_path / f"robot{_SUFFIX[dialect]}", dialect=dialect, meshes=False)
     again = Robot.load(tmp_path / f"robot{_SUFFIX[dialect]}")
-    assert again.home.closure_residual < 1e-9
+    assert again.home.closure_residual < 1e-12
     assert pm.instantaneous_mobility(again.home).count == pm.instantaneous_mobility(robot.home).count
     assert again.actuated_joints == robot.actuated_joints
     assert [c.name for c in again.coordinates] == [c.name for c in robot.coordinates]
@@ -35,8 +35,8 @@ def test_another_dialect_describes_the_same_mechanism(tmp_path: Path, name: str,
         c.type for c in robot.closures
     ]
     home = again.home.tool_placement.homogeneous
-    np.testing.assert_allclose(home, robot.home.tool_placement.homogeneous, atol=1e-9 if dialect == "sdf" else 1e-12)
-    np.testing.assert_allclose(again.home.commands, robot.home.commands, atol=1e-9)
+    np.testing.assert_allclose(home, robot.home.tool_placement.homogeneous, atol=1e-12)
+    np.testing.assert_allclose(again.home.commands, robot.home.commands, atol=1e-12)
     if robot.springs and "the stiffness at home is another" not in done.losses:
         both = [pm.compliance(which, which.at([which.home.q])) for which in (robot, again)]
         np.testing.assert_allclose(both[0], both[1], atol=1e-9 * np.abs(both[0]).max())
@@ -58,7 +58,7 @@ def test_there_and_back_again(tmp_path: Path, dialect: str) -> None:
     again = Robot.load(tmp_path / "back.urdf")
     assert len(again.closures) == len(robot.closures)
     assert {loop.type for loop in again.closures} == {"3d"}
-    np.testing.assert_allclose(again.home.tool_placement.homogeneous, robot.home.tool_placement.homogeneous, atol=1e-9)
+    np.testing.assert_allclose(again.home.tool_placement.homogeneous, robot.home.tool_placement.homogeneous, atol=1e-12)
     both = [pm.compliance(which, which.at([which.home.q])) for which in (robot, again)]
     np.testing.assert_allclose(both[0], both[1], atol=1e-8 * np.abs(both[0]).max())
 
