@@ -20,12 +20,13 @@ from pm3dof_pin.cli.map_options import (
     known_quantities,
     robot_grid,
 )
-from pm3dof_pin.cli.options import Json, MachineOptions, tilt_angle
+from pm3dof_pin.cli.options import AppliedWrenches, Json, MachineOptions, tilt_angle
 from pm3dof_pin.cli.output import message, print_result, progress_bar
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.typing import Branch
 
 _MIN_POINTS = 2
 _POSES = 10_000  # approximate size of an atlas over all coordinates
@@ -67,6 +68,7 @@ def atlas(
     precision: Annotated[Literal["single", "double"], typer.Option(help="Precision of numbers on disk.")] = "single",
     pictures: Annotated[bool, typer.Option(help="Draw slices of every quantity that is not a matrix.")] = True,
     formats: Formats = None,
+    wrench: AppliedWrenches = None,
     threads: Threads = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on the dask cluster of this scheduler.")
@@ -81,7 +83,7 @@ def atlas(
     ranges; for pm3dof, z_e, theta_x, theta_y. An interrupted job resumes when the same command is run again.
     """
     from pm3dof_pin.maps.atlas import Atlas, compute_atlas
-    from pm3dof_pin.maps.quantity import MappedRobot
+    from pm3dof_pin.maps.quantity import NO_WRENCH, MappedRobot
 
     known = known_quantities(quantity)
     if out.suffix not in (".nc", ".zarr"):
@@ -113,7 +115,10 @@ def atlas(
         raise typer.BadParameter(f"--points, --tilt and --heights are for robots with {', '.join(_TILTS)}: use --range")
     else:
         grid = robot_grid(loaded, _all_ranges(loaded, None))
-    job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision, "all" if all_branches else "home")
+    branches: Branch = "all" if all_branches else "home"
+    job = Atlas(
+        loaded, grid, names, out, keep_beyond_limits, precision, branches, tuple(map(tuple, wrench or NO_WRENCH))
+    )
     resumed = job.parts.exists()
     try:
         with progress_bar("poses") as progress:

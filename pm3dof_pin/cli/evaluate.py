@@ -18,7 +18,7 @@ from pm3dof_pin.cli.map_options import (
     known_quantities,
     robot_grid,
 )
-from pm3dof_pin.cli.options import Json, MachineOptions, Out
+from pm3dof_pin.cli.options import AppliedWrenches, Json, MachineOptions, Out
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.poses import with_units
@@ -52,6 +52,7 @@ def evaluate(
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Draw which springs govern where.")] = True,
     formats: Formats = None,
+    wrench: AppliedWrenches = None,
     threads: Threads = None,
     engine: EngineOption = "program",
     as_json: Json = False,
@@ -64,12 +65,12 @@ def evaluate(
     """
     from pm3dof_pin.files import write_text_atomically
     from pm3dof_pin.maps.datasets import write_netcdf
-    from pm3dof_pin.maps.quantity import MappedRobot
+    from pm3dof_pin.maps.quantity import NO_WRENCH, MappedRobot
     from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 
     known = known_quantities(quantity)
     loaded = which.load(engine, threads)
-    mapped = MappedRobot(loaded)
+    mapped = MappedRobot(loaded, wrench or NO_WRENCH)
     if model == "chapter":
         if quantity:
             raise typer.BadParameter("--model chapter cannot be combined with --quantity")

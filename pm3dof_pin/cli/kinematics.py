@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -29,8 +30,14 @@ from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 from pm3dof_pin.kinematics.pose_file import placement_readings, readings
 from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Vector
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.assembly_modes import AssemblyModes
+
+_TIMES = 5  # each assembly mode is to be met
 
 Commands = Annotated[
     list[float] | None,
@@ -72,17 +79,18 @@ def fk(
         typer.Option("--poses", metavar="FILE", help="Many poses: CSV with a column NAME_m or NAME_deg per command."),
     ] = None,
     out: OutFile = None,
-    all_modes: Annotated[bool, typer.Option("--all", help="List every assembly mode of chapter 8's machine.")] = False,
+    all_modes: Annotated[bool, typer.Option("--all", help="List every assembly mode, on whatever branch.")] = False,
     as_json: Json = False,
 ) -> None:
     """Compute the pose for drive commands (forward kinematics): lengths in metres, angles in degrees.
 
     Without --all, this is the pose reached from home. A pose that breaks a joint limit is still computed, with a
-    message and exit status 1. With --all, exit status 1 also means that no listed mode is reached from home.
+    message and exit status 1. With --all, exit status 1 also means that no listed mode is reached from home; modes are
+    found from random starts, with an estimate of how many there are, and for the chapter's machine in closed form.
     """
     chosen = PoseOptions(pose=u, configuration=configuration, poses=poses, out=out)
-    if all_modes and (not which.is_the_tripod or poses is not None):
-        raise typer.BadParameter("--all is for the machine of chapter 8: its assembly modes have a closed form")
+    if all_modes and poses is not None:
+        raise typer.BadParameter("--all is for commands on the command line, not for --poses")
     machine = which.load()
     if chosen.is_empty:
         raise typer.BadParameter(f"expected commands: {expected_numbers(machine, machine.command_coordinates)}")
@@ -100,11 +108,15 @@ def fk(
     else:
         commands = si_values(machine, machine.command_coordinates, chosen.numbers)
         if all_modes:
-            solved = machine.forward(commands, on_failure="nan", engine="pinocchio")
+            solved = machine.forward(commands, on_failure="nan")
         else:
             solved = solve_pose(machine, commands, forward=True)
-    if all_modes:
+    found_modes = None
+    if all_modes and which.is_the_tripod:
         modes, residuals = _all_modes(commands, which.tripod())
+    elif all_modes:
+        found_modes = _found_modes(machine, commands)
+        modes, residuals = list(found_modes.poses.coordinates), found_modes.poses.residual.tolist()
     result, broken = _result(machine, solved)
     if all_modes:
         result["assembly_modes"] = [
@@ -112,6 +124,18 @@ def fk(
             for mode, residual in zip(modes, residuals, strict=True)
         ]
     lines = _pose_lines(machine.coordinates, modes if all_modes else [solved.coordinates])
+    if found_modes is not None:
+        count = len(found_modes.counts)
+        result |= {"starts": found_modes.starts, "estimated_modes": found_modes.estimated}
+        result["missed_probability"] = found_modes.missed
+        for entry, pose, times in zip(result["assembly_modes"], found_modes.poses, found_modes.counts, strict=True):
+            entry |= {"within_limits": not broken_limits(machine, pose), "found": times, "joints": _joints(pose)}
+        least = min(_TIMES, *found_modes.counts)
+        lines.append(
+            f"{count} assembly modes from {found_modes.starts:,} random starts, each met at least {least} times; "
+            f"estimated number {found_modes.estimated:.3g}, and one as rarely met as that is missing with a "
+            f"probability of {100.0 * math.exp(-least):.2g} %"
+        )
     if solved.solved and machine.tool_frame is not None:
         components = dict(zip(TOOL_COMPONENTS, tool_components(solved.transforms), strict=True))
         result["tool"] = {f"{k}_{'m' if k in 'xyz' else 'rad'}": float(value) for k, value in components.items()}
@@ -144,10 +168,7 @@ def _result(robot: Robot, poses: Poses) -> tuple[dict[str, Any], list[BrokenLimi
         "residual_m": poses.residual,
     }
     if configuration is not None:
-        singles = [
-            name for name in list(robot.model.names)[1:] if robot.model.joints[robot.model.getJointId(name)].nv == 1
-        ]
-        result["joints"] = {name: configuration.joint_position(name) for name in singles}
+        result["joints"] = _joints(configuration)
         result["swing_rad"] = {
             name: configuration.swing(index)
             for index, (loop, name) in enumerate(zip(robot.closures, closure_names(robot).values(), strict=True))
@@ -181,6 +202,25 @@ def _pose_lines(coordinates: Sequence[Coordinate], poses: Sequence[Vector]) -> l
     digits = {"m": 12, "rad": 9}
     rows = [[_reading(v, c.unit, digits[c.unit])[0] for c, v in zip(coordinates, pose, strict=True)] for pose in poses]
     return table_lines(header, rows)
+
+
+def _joints(configuration: Configuration) -> dict[str, float]:
+    """Return the coordinates of single-DoF joints [m, rad]."""
+    model = configuration.mechanism.model
+    singles = [name for name in list(model.names)[1:] if model.joints[model.getJointId(name)].nv == 1]
+    return {name: configuration.joint_position(name) for name in singles}
+
+
+def _found_modes(robot: Robot, commands: Vector) -> AssemblyModes:
+    """Return the modes found from random starts; UnreachablePoseError if there is none."""
+    from pm3dof_pin.kinematics.assembly_modes import assembly_modes
+
+    found = assembly_modes(robot, commands, times=_TIMES)
+    if not found.counts:
+        values = with_units(robot.command_coordinates, commands)
+        listed = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+        raise UnreachablePoseError(f"no pose closes the loops at {listed}: none of {found.starts} random starts does")
+    return found
 
 
 def _all_modes(commands: Vector, tripod: Tripod) -> tuple[list[Vector], list[float]]:

@@ -194,6 +194,15 @@ class Continuation:
             found[rows] = np.where((closed | undecided)[:, None], ends, np.nan)
         return found
 
+    def ends(self, starts: Matrix, targets: Matrix) -> Matrix:
+        """Return the closed configurations at targets that damped steps from starts lead to, on whatever branch.
+
+        NaN where these do not close the loops. Shapes (n, nq) and (n, number of coordinates) [m, rad].
+        """
+        q, _ = self._damped_ends(starts, self._given_numbers(targets))
+        closed = self._residuals(q, targets) <= self._robot.closure_tolerance
+        return np.where(closed[:, None], q, np.nan)
+
     def _damped_ends(self, q: Matrix, numbers: Matrix) -> tuple[Matrix, Mask]:
         """Take damped steps until the error no longer falls, then Newton steps; return q, and where it still falls."""
         nq = self._nq

@@ -624,7 +624,7 @@ class Robot(PlacedMechanism):
         contradictions = None
         if len(placing) < len(coordinates):
             contradictions = self._contradictions(found.q, rows)
-            found = Solution(self._agreeing(found.q, rows))
+            found = Solution(self.agreeing(found.q, rows))
         failed = np.flatnonzero(np.isnan(found.q[:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
@@ -677,7 +677,7 @@ class Robot(PlacedMechanism):
         differences[:, angles] -= turns[angles] * np.round(differences[:, angles] / turns[angles])
         return differences
 
-    def _agreeing(self, q: Matrix, commands: Matrix) -> Matrix:
+    def agreeing(self, q: Matrix, commands: Matrix) -> Matrix:
         """Return q, NaN where not all commands are those given."""
         off = np.abs(self._contradictions(q, commands) / coordinate_scales(self, self.command_coordinates)).max(axis=1)
         agrees: Matrix = np.where((off <= _CONTRADICTION)[:, None], q, np.nan)

@@ -43,7 +43,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas_store import AtlasStore, Block, Variable, exclusive_run, require_intact
 from pm3dof_pin.maps.datasets import BROKEN_LIMITS, dataset_attributes, flag_variable, limit_names
 from pm3dof_pin.maps.quantities import select_quantities
-from pm3dof_pin.maps.quantity import Evaluation, MappedRobot, Quantity
+from pm3dof_pin.maps.quantity import NO_WRENCH, Evaluation, MappedRobot, Quantity
 from pm3dof_pin.typing import Branch
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ class Atlas:
         path: result, `.nc` (NetCDF) or `.zarr`.
         keep_beyond_limits: whether to keep values at poses that break a limit but can be reached.
         branches: "home", poses of home's branch; or "all" that the coordinates alone determine (quantity `branch`).
+        wrenches: of the tool on its environment, for `wrench_margin` and `wrench_feasible` [N, N m].
         precision: "single" or "double" on disk; computation is in double, and 6 x 6 matrices are always double.
     """
 
@@ -88,6 +89,7 @@ class Atlas:
     keep_beyond_limits: bool = False
     precision: Precision = "single"
     branches: Branch = "home"
+    wrenches: tuple[tuple[float, ...], ...] = NO_WRENCH
 
     def __post_init__(self) -> None:
         """Check names and path; InvalidValueError for an unknown quantity, no dimensions or another suffix."""
@@ -105,7 +107,7 @@ class Atlas:
     @cached_property
     def mapped(self) -> MappedRobot:
         """The robot whose quantities are mapped."""
-        return MappedRobot(self.robot)
+        return MappedRobot(self.robot, self.wrenches)
 
     @cached_property
     def selected(self) -> tuple[Quantity, ...]:
@@ -167,6 +169,7 @@ class Atlas:
             "precision": self.precision,
             "branches": self.branches,
             "engine": robot.engine,
+            **({"wrenches": self.wrenches} if self.wrenches != NO_WRENCH else {}),
         }
         return {
             **dataset_attributes(f"Atlas of {robot.name} over ({', '.join(self.grid.dims)})", robot.name),

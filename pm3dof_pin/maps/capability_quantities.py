@@ -27,6 +27,15 @@ def _speed_capability(evaluation: Evaluation) -> Array:
     return np.stack([at.greatest_twist(axis) for axis in np.eye(6)], axis=-1)
 
 
+def _wrench_margin(evaluation: Evaluation) -> Array:
+    return _at(evaluation).effort_left(evaluation.mapped.wrenches)
+
+
+def _wrench_feasible(evaluation: Evaluation) -> Array:
+    margin = _wrench_margin(evaluation)
+    return np.where(np.isnan(margin), np.nan, margin >= 0.0)
+
+
 def _has_limits(limits: str, mapped: MappedRobot) -> bool:
     robot = mapped.robot
     if robot.tool_frame is None or not robot.actuated_joints:
@@ -51,6 +60,20 @@ CAPABILITY_QUANTITIES = (
         "greatest speed of the tool along each axis alone",
         (_AXIS,),
         lambda mapped: _has_limits("upperVelocityLimit", mapped),
+    ),
+    Quantity(
+        "wrench_margin",
+        _wrench_margin,
+        "1",
+        "share of the drives' efforts left under the wrenches, or the weight alone; negative if one cannot be held",
+        exists=lambda mapped: _has_limits("upperEffortLimit", mapped),
+    ),
+    Quantity(
+        "wrench_feasible",
+        _wrench_feasible,
+        "1",
+        "1 where the drives hold each of the wrenches, else 0",
+        exists=lambda mapped: _has_limits("upperEffortLimit", mapped),
     ),
 )
 """The quantities of a robot whose drives have limits."""

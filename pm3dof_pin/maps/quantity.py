@@ -9,6 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
@@ -24,16 +28,25 @@ from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.typing import Array
 
+NO_WRENCH = ((0.0,) * 6,)
+"""No load but the weight."""
+
 
 class MappedRobot:
-    """A robot, or an elastic model, whose quantities are mapped; its springs are read when a quantity needs them."""
+    """A robot, or an elastic model, whose quantities are mapped; its springs are read when a quantity needs them.
 
-    def __init__(self, robot: Robot | ElasticModel) -> None:
+    Attributes:
+        robot: the robot.
+        wrenches: wrenches [f; m] of the tool on its environment that the drives are to hold, shape=(k, 6) [N, N m].
+    """
+
+    def __init__(self, robot: Robot | ElasticModel, wrenches: ArrayLike = NO_WRENCH) -> None:
         self.robot = robot.rigid if isinstance(robot, ElasticModel) else robot
+        self.wrenches = frozen(finite_array("wrenches", wrenches, (np.shape(wrenches)[0], 6)))
         self._given = robot
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._given,)
+        return type(self), (self._given, self.wrenches)
 
     @cached_property
     def elastic(self) -> ElasticModel:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.optimize import linprog
 
@@ -87,3 +88,51 @@ def test_the_command(answer: Callable[..., Any]) -> None:
     assert result["greatest_force_N"]["+"][:2] == [None, None]
     np.testing.assert_allclose(result["greatest_force_N"]["-"][2], at.greatest_wrench([0, 0, -1, 0, 0, 0]))
     np.testing.assert_allclose(result["effort_left"], [at.effort_left(w) for w in result["wrenches"]])
+
+
+def test_the_wrench_feasible_workspace(answer: Callable[..., Any], tmp_path: Path) -> None:
+    """By the torques that balance each wrench and the weight, of virtual power at every pose of a grid."""
+    ranges = [
+        "--range",
+        "x",
+        "-0.1",
+        "0.1",
+        "5",
+        "--range",
+        "y",
+        "-0.1",
+        "0.1",
+        "5",
+        "--range",
+        "z",
+        "0.1",
+        "0.25",
+        "4",
+    ]
+    wrenches = [[0.0, 0.0, -75.0, 0.0, 0.0, 0.0], [55.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
+    loads = [word for wrench in wrenches for word in ("--wrench", *map(str, wrench))]
+    names = ["-q", "wrench_margin", "-q", "wrench_feasible"]
+    place = ["--robot", "linear_delta", *ranges, *loads, *names]
+    found = answer("evaluate", *place, "--out", str(tmp_path))["distributions"]
+    robot = pm.load("linear_delta")
+    poses = robot.solve(robot.grid(x=(-0.1, 0.1, 5), y=(-0.1, 0.1, 5), z=(0.1, 0.25, 4)))
+    effort = np.array(robot.model.upperEffortLimit)[robot.actuated_indices]
+    left = []
+    for q in poses.q.reshape(-1, robot.model.nq):
+        at = robot.configuration(q)
+        null = np.linalg.svd(at.constraint_jacobian)[2][18:].T  # 21 joints
+        rates = null @ np.linalg.inv(null[robot.actuated_indices])
+        weight = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q)
+        forces = [rates.T @ (weight + at.tool_jacobian.T @ wrench) for wrench in wrenches]
+        left.append(min((1.0 - np.abs(force) / effort).min() for force in forces))
+    margins = np.array(left)
+    assert 0 < (margins >= 0.0).sum() < len(margins)
+    assert found["wrench_margin"]["least"] == pytest.approx(margins.min(), abs=1e-9)
+    assert found["wrench_margin"]["greatest"] == pytest.approx(margins.max(), abs=1e-9)
+    assert 0.0 < found["wrench_feasible"]["mean"] < 1.0
+    out = str(tmp_path / "atlas.nc")
+    answer("atlas", *place, "--precision", "double", "--no-pictures", "--out", out)
+    stored = pm.open_atlas(out)
+    within = poses.within_limits.ravel()
+    np.testing.assert_allclose(stored["wrench_margin"].values.ravel()[within], margins[within], atol=1e-9)
+    assert (stored["wrench_feasible"].values.ravel()[within] == (margins >= 0.0)[within]).all()

@@ -270,7 +270,7 @@ def test_broken_limit_is_answered_named_and_fails(run: Run, command: str) -> Non
         (["ik", "0", "0", "0.5", "--configuration", "home"], 2, "POSE and --configuration"),
         (["ik", "0", "0", "0.5", "--out", "x.csv"], 2, "--out requires --poses"),
         (["ik", "--poses", "nowhere.csv"], 1, "nowhere.csv: expected a readable file"),
-        (["fk", "0", "0", "0", "0", "0", "0", "--robot", "hexapod", "--all"], 2, "machine of chapter 8"),
+        (["fk", "--all", "--robot", "hexapod", "--poses", "x.csv"], 2, "--all is for commands on the command line"),
         (["stiffness", "--robot", "hexapod", "--model", "chapter"], 2, "machine of chapter 8"),
         (
             ["ik", "0", "0"],
