@@ -247,6 +247,19 @@ def lines_in_words(rows: Sequence[int]) -> str:
     return f"line{'s' if len(rows) > 1 else ''} {listed}{more}: "
 
 
+class GCodeError(PM3DofError):
+    """A line of a program in G-code is not understood.
+
+    Attributes:
+        path: the file.
+        line: the line.
+    """
+
+    def __init__(self, path: Path | str, line: int, problem: str) -> None:
+        self.path, self.line = Path(path), line
+        super().__init__(f"{self.path}: line {line}: {problem}")
+
+
 class CalibrationRefusedError(PM3DofError):
     """A calibration was refused: its result would be wrong for the machine, or make it worse.
 

@@ -27,6 +27,7 @@ COMMANDS = {
     "statics": ("statics", "Drive forces that hold the weight and a load"),
     "modes": ("modes", "Natural frequencies and mode shapes at a pose"),
     "capability": ("capability", "How hard the tool can push and how fast it can go"),
+    "path": ("path", "A tool path judged: limits, speeds, forces, deflection"),
     "transmission": ("transmission", "What a serial model must know of joints driven through loops"),
     "stiffness-map": ("stiffness_map", "Stiffness maps: data, spreadsheet, pictures"),
     "table-8-3": ("table", "Table 8.3 of the chapter, published and computed"),

@@ -67,6 +67,13 @@ def _holding(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
     return product(_drive_motions(tree, doubt).T, Masses(tree, model).weights[:, None])[:, 0]
 
 
+def _motions(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
+    """Record the least joint velocities, then the tool's twist, at unit rate of each drive, shape=(nv + 6, u)."""
+    del model
+    motions = _drive_motions(tree, doubt)
+    return np.vstack([motions, product(tree.jacobian(tree.mechanism.frame_name()), motions)])
+
+
 def _inertia(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
     """Record the mass matrix of the actuated joints, shape=(u, u) [kg, kg m, kg m^2]."""
     motions = _drive_motions(tree, doubt)
@@ -140,13 +147,13 @@ def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int 
 
 
 def of_drives(
-    name: Literal["holding_forces", "mass_matrix"],
+    name: Literal["holding_forces", "mass_matrix", "drive_motions"],
     robot: Robot,
     model: pin.Model,
     q: Matrix,
     threads: int | None = None,
 ) -> tuple[Array, Mask]:
-    """Evaluate the holding forces, or the mass matrix at the actuated joints, flat, at q, shape=(n, nq).
+    """Evaluate the holding forces, the mass matrix at the actuated joints or their motions, flat, at q, shape=(n, nq).
 
     Also returns where nothing is in doubt, shape=(n,). `model` is the robot's tree, or a copy with payloads.
 
@@ -158,10 +165,12 @@ def of_drives(
         poses = samples_near_home(robot)
         verify(robot, poses)
         doubt, tree = Doubt(), Tree(Graph(), robot, poses)
-        values = {"holding_forces": _holding, "mass_matrix": _inertia}[name](tree, model, doubt)
-        return checked_program(name, tree, values, doubt)
+        record = {"holding_forces": _holding, "mass_matrix": _inertia, "drive_motions": _motions}[name]
+        return checked_program(name, tree, record(tree, model, doubt), doubt)
 
     own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.mass_pattern(model))
+    if name == "drive_motions":
+        own = (*own[:2], [robot.tool_frame or ""])
     key = repr((name, *own, geometry.structure(robot), geometry.pattern(robot)))
     compiled = cache.known(key, trace)
     parameters = geometry.values(robot, compiled.program.parameters, masses.mass_numbers(model))

@@ -43,6 +43,7 @@ class PoseTable:
     poses: Poses  #: the poses, shape=(n,); NaN where they are out of reach, or were so when the file was written
     columns: Mapping[str, Array]  #: the columns that give the poses, as written in the file, shape=(n,) each
     others: Mapping[str, Array]  #: other columns of numbers, by name, in metres and radians, shape=(n,) each
+    lines: Sequence[int] = ()  #: line of the file of each pose
 
 
 def read_poses(robot: Robot, path: Path | str, *, given: Given = "coordinates") -> PoseTable:
@@ -85,7 +86,7 @@ def read_poses(robot: Robot, path: Path | str, *, given: Given = "coordinates") 
         poses = robot.solve(_values(robot, table, robot.coordinates, columns), on_failure="nan")
     others = {name: values for name, values in table.columns.items() if name not in columns}
     written = dict(zip(table.columns, table.written.items(), strict=True))
-    return PoseTable(poses, dict(written[name] for name in columns), others)
+    return PoseTable(poses, dict(written[name] for name in columns), others, table.lines)
 
 
 def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Array]:

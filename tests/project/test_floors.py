@@ -27,6 +27,7 @@ FLOORS = (
     ("maps",),
     ("figures", "viewer", "export"),
     ("calibration",),
+    ("paths",),
     ("cli",),
     ("__main__",),
 )

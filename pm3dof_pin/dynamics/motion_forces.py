@@ -1,0 +1,102 @@
+"""Forces of the actuators along a motion, at many poses: inertia, gravity, payloads and a wrench on the tool."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.arrays import finite_array, frozen, require_kind
+from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
+from pm3dof_pin.kinematics.pose_values import evaluate_at
+from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.typing import Array, Mask, Matrix, Vector
+
+_PROGRAM_FROM = 200  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
+
+
+@dataclass(frozen=True, eq=False)
+class DriveMotions:
+    """Motions at unit rate of each actuated joint, at n poses; the least ones if idle joints leave a choice."""
+
+    joints: Array  #: velocities of all joints, shape=(n, nv, u)
+    tool: Array  #: twists of the tool [v; omega], world axes, shape=(n, 6, u)
+
+
+def drive_motions(robot: Robot, poses: Poses) -> DriveMotions:
+    """Compute the motions of joints and tool by each actuated joint at poses of shape (n,); NaN where there are none.
+
+    Raises:
+        DescriptionError: the robot has no tool frame.
+    """
+    require_kind("robot", robot, Robot, "pm.load")
+    robot.frame_name()
+    nv, drives = robot.model.nv, len(robot.actuated_joints)
+
+    def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
+        from pm3dof_pin.dynamics.traced import of_drives
+
+        if not robot.has_loops and nv == drives:
+            raise ProgramError(f"the joints of {robot.name} are its drives")
+        return of_drives("drive_motions", robot, robot.model, q, threads)
+
+    def reference(q: Vector) -> Matrix:
+        configuration = robot.configuration(q)
+        dof = DegreesOfFreedom(configuration)
+        motions = dof.scale[:, None] * dof.at_actuators.inverse / dof.scale[robot.actuated_indices]
+        return np.vstack([motions, configuration.tool_jacobian @ motions])
+
+    found = evaluate_at(
+        robot,
+        poses,
+        "motions by the drives",
+        (nv + 6, drives),
+        program=program,
+        reference=reference,
+        program_from=_PROGRAM_FROM,
+        on_failure="nan",
+    ).values
+    return DriveMotions(frozen(found[:, :nv]), frozen(found[:, nv:]))
+
+
+def motion_forces(
+    robot: Robot,
+    poses: Poses,
+    motions: DriveMotions,
+    velocities: Matrix,
+    accelerations: Matrix,
+    *,
+    payloads: Payloads | None = None,
+    wrenches: Matrix | None = None,
+) -> Matrix:
+    """Compute the forces of the actuators along a motion, by Newton and Euler and virtual work on the closed loops.
+
+    Idle joints, such as the spin of a rod, move as given.
+
+    Args:
+        robot: the robot.
+        poses: poses of shape (n,).
+        motions: the motions by the actuated joints there.
+        velocities: of all joints, shape=(n, nv) [m/s, rad/s].
+        accelerations: of all joints, shape=(n, nv) [m/s^2, rad/s^2].
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia`.
+        wrenches: on the tool, at its point, world axes, shape=(n, 6) [N, N m].
+
+    Returns:
+        Forces along the actuated joints, shape=(n, u) [N, N m]; NaN where something is.
+    """
+    robot.require_possible_inertias()
+    model = model_with_payloads(robot, payloads)
+    data = model.createData()
+    load = np.full((len(poses), model.nv), np.nan)
+    known = np.isfinite(velocities).all(axis=1) & np.isfinite(accelerations).all(axis=1)
+    q = np.ascontiguousarray(poses.q)
+    for row in np.flatnonzero(known):
+        load[row] = pin.rnea(model, data, q[row], velocities[row], accelerations[row])
+    forces = np.einsum("nvu,nv->nu", motions.joints, load)
+    if wrenches is not None:
+        forces -= np.einsum("niu,ni->nu", motions.tool, finite_array("wrenches", wrenches, (len(poses), 6)))
+    return np.asarray(forces)

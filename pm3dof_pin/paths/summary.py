@@ -1,0 +1,139 @@
+"""A path in numbers: the worst point for each quantity with its line, the needs of the drives, feed ceilings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.kinematics.robot import REACH, Robot
+from pm3dof_pin.typing import Array, Vector
+
+# by key of the summary: the column, and whether its greatest value is the worst
+_WORST = {
+    "least_limit_margin": ("limit_margin", False),
+    "least_singularity_distance": ("singularity_distance", False),
+    "greatest_feed_m_s": ("feed_m_s", True),
+    "least_feed_ceiling_m_s": ("feed_ceiling_m_s", False),
+    "greatest_deflection_m": ("deflection_m", True),
+    "least_stiffness_along_N_m": ("stiffness_along_N_m", False),
+    "least_stiffness_across_N_m": ("stiffness_across_N_m", False),
+    "greatest_expected_error_m": ("expected_error_m", True),
+    "greatest_error_bound_m": ("error_bound_m", True),
+    "greatest_error_95_percent_m": ("error_95_percent_m", True),
+    "lowest_frequency_Hz": ("lowest_frequency_Hz", False),
+}
+_MOMENTS = ("speed", "acceleration", "force", "power")
+
+
+class PathSummary:
+    """What blocks of columns come to, block by block.
+
+    Args:
+        robot: the robot.
+        lines: the line of each move.
+    """
+
+    def __init__(self, robot: Robot, lines: NDArray[np.int64]) -> None:
+        self._robot, self._lines = robot, lines
+        self._counts = dict.fromkeys(("points", "points_within_limits", "points_out_of_reach", "points_off_branch"), 0)
+        self._first_broken: int | None = None
+        self._broken = 0
+        self._worst: dict[str, tuple[float, int]] = {}
+        self._time, self._energy = 0.0, 0.0
+        count = len(robot.commands)
+        self._squares, self._driving, self._lasting = np.zeros(count), np.zeros(count), 0.0
+        self._peaks: dict[str, list[tuple[float, int]]] = {name: [(math.nan, 0)] * count for name in _MOMENTS}
+        self._ceilings: dict[int, float] = {}
+
+    def add(self, columns: Mapping[str, Array], lasting: Vector) -> None:
+        """Add a block of points, each of which stands for a time, shape=(n,) [s]."""
+        lines = columns["line"].astype(np.int64)
+        within = columns["within_limits"] == 1.0
+        flags = columns["broken_limits"].astype(np.int64)
+        self._counts["points"] += len(lines)
+        self._counts["points_within_limits"] += int(within.sum())
+        self._counts["points_out_of_reach"] += int((flags & REACH > 0).sum())
+        self._counts["points_off_branch"] += int((np.nan_to_num(columns["branch"]) != 0).sum())
+        self._broken |= int(np.bitwise_or.reduce(flags, initial=0))
+        if self._first_broken is None and not within.all():
+            self._first_broken = int(lines[int(within.argmin())])
+        known = dict(columns)
+        if "deflection_x_m" in known:
+            known["deflection_m"] = np.linalg.norm([known[f"deflection_{axis}_m"] for axis in "xyz"], axis=0)
+        for key, (name, greatest) in _WORST.items():
+            if name in known:
+                self._keep(self._worst, key, known[name], lines, greatest=greatest)
+        self._time, self._energy = float(columns["time_s"][-1]), float(columns["energy_J"][-1])
+        self._add_drives(columns, lines, lasting)
+        ceilings = np.nan_to_num(columns["feed_ceiling_m_s"], nan=np.inf)
+        starts = np.flatnonzero(np.diff(lines, prepend=-1))
+        for line, least in zip(lines[starts].tolist(), np.minimum.reduceat(ceilings, starts).tolist(), strict=True):
+            self._ceilings[line] = min(self._ceilings.get(line, math.inf), least)
+
+    def _add_drives(self, columns: Mapping[str, Array], lines: NDArray[np.int64], lasting: Vector) -> None:
+        for k in range(len(self._robot.commands)):
+            found = {
+                moment: next(values for key, values in columns.items() if key.startswith(f"u{k + 1}_{moment}_"))
+                for moment in _MOMENTS
+            }
+            force, weights = found["force"], np.where(np.isfinite(found["force"]), lasting, 0.0)
+            self._squares[k] += np.sum(weights * np.nan_to_num(force) ** 2)
+            self._driving[k] += np.sum(weights * np.maximum(np.nan_to_num(found["power"]), 0.0))
+            self._lasting += float(weights.sum()) if k == 0 else 0.0
+            for moment, values in found.items():
+                kept = {"": self._peaks[moment][k]} if self._peaks[moment][k][1] else {}
+                self._keep(kept, "", np.abs(values), lines, greatest=True)
+                self._peaks[moment][k] = kept.get("", (math.nan, 0))
+
+    @staticmethod
+    def _keep(
+        worst: dict[str, tuple[float, int]], key: str, values: Vector, lines: NDArray[np.int64], *, greatest: bool
+    ) -> None:
+        signed = np.where(np.isfinite(values), values if greatest else -values, -np.inf)
+        row = int(signed.argmax())
+        if np.isfinite(signed[row]) and (
+            key not in worst or signed[row] > (worst[key][0] if greatest else -worst[key][0])
+        ):
+            worst[key] = (float(values[row]), int(lines[row]))
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the summary as plain data; keys end in their unit."""
+        robot = self._robot
+        names = ("reach", *(group.name for group in robot.limit_groups))
+        broken = [name for bit, name in enumerate(names) if self._broken & (1 << bit)]
+        counts = self._counts
+        data: dict[str, Any] = {
+            "robot": robot.name,
+            **counts,
+            "within_limits": counts["points"] == counts["points_within_limits"],
+            "broken_limits": broken,
+            "first_line_beyond_limits": self._first_broken,
+            "time_s": self._time,
+            "energy_J": self._energy,
+        }
+        data |= {key: value for key, (value, _) in self._worst.items()}
+        data["lines"] = {key: line for key, (_, line) in self._worst.items()}
+        data["drives"] = [self._drive(k) for k in range(len(robot.commands))]
+        finite = {line: value for line, value in self._ceilings.items() if math.isfinite(value)}
+        data["feed_ceilings"] = {"line": list(finite), "feed_m_s": list(finite.values())}
+        return data
+
+    def _drive(self, k: int) -> dict[str, Any]:
+        command = self._robot.commands[k]
+        linear = self._robot.single_joint(command.joint).translates
+        unit = "N" if linear else "N_m"
+        keys = {"speed": f"speed_{command.unit}_s", "acceleration": f"acceleration_{command.unit}_s2"}
+        keys |= {"force": f"force_{unit}", "power": "power_W"}
+        found: dict[str, Any] = {"drive": command.name}
+        found[f"rms_force_{unit}"] = math.sqrt(self._squares[k] / self._lasting) if self._lasting else math.nan
+        for moment, key in keys.items():
+            value, line = self._peaks[moment][k]
+            found |= {f"peak_{key}": value, f"peak_{moment}_line": line}
+        effort = float(self._robot.model.effortLimit[self._robot.single_joint(command.joint).v_index])
+        found[f"effort_limit_{unit}"] = effort if effort > 0.0 else None
+        found["driving_energy_J"] = float(self._driving[k])
+        return found

@@ -1,0 +1,222 @@
+"""A tool path: moves of the tool point, or of the robot's coordinates, from a table of poses or a program in G-code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.arrays import finite_array, frozen
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
+from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
+from pm3dof_pin.files import read_text
+from pm3dof_pin.kinematics.pose_file import PoseTable, read_poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.wrenches import is_wrench, wrenches_of
+from pm3dof_pin.mechanism.tool_components import tool_components
+from pm3dof_pin.paths.gcode import MACHINE, Move, Systems, in_machine, read_program
+from pm3dof_pin.typing import Array, Indices, Mask, Matrix, Vector
+
+TIME, FEED, FEED_PER_MINUTE = "time_s", "feed_m_s", "feed_mm_min"
+"""Columns of a table: the time at each row, or the feed of the move that ends there."""
+
+_UNITS: Mapping[str, Mapping[str, float]] = {"m": {"m": 1.0, "mm": 1e-3}, "rad": {"rad": 1.0, "deg": np.pi / 180.0}}
+
+
+@dataclass(frozen=True, eq=False)
+class ToolPath:
+    """Moves one after the other: lines and arcs of given numbers, over each of which a share runs from 0 to 1.
+
+    The numbers are X, Y, Z [m] and A, B, C [rad] of the tool in placed coordinate systems, or the coordinates of the
+    robot. Between the ends of a line they change linearly, as in a controller; angles too. A dwell is a move that ends
+    where it starts.
+    """
+
+    lines: NDArray[np.int64]  #: line of the file of each move, shape=(n,)
+    start: Matrix  #: numbers at its start, shape=(n, k) [m, rad]
+    end: Matrix  #: numbers at its end, shape as above
+    #: components of the placement of the tool that the path sets, if the numbers are such; else None: coordinates
+    components: tuple[str, ...] | None = None
+    rapid: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  #: whether it is a rapid, shape=(n,)
+    feed: Vector = field(default_factory=lambda: np.zeros(0))  #: of the tool point [m/s], NaN if not given, shape=(n,)
+    turning_feed: Vector = field(default_factory=lambda: np.zeros(0))  #: of moves that only turn the tool [rad/s]
+    duration: Vector = field(default_factory=lambda: np.zeros(0))  #: of the move, NaN if not given, shape=(n,) [s]
+    blend: Vector = field(default_factory=lambda: np.zeros(0))  #: tolerance of the corner at its end, NaN if not given
+    #: axes of arcs, -1 for lines, shape=(n, 2); centre in these [m] and swept angle [rad], shape=(n, 3)
+    arc_axes: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    arcs: Matrix = field(default_factory=lambda: np.zeros((0, 3)))
+    system: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  #: of each move, shape=(n,)
+    placements: Systems = field(default_factory=dict)  #: of the coordinate systems in the base
+    times: Vector | None = None  #: times at the ends of moves, shape=(n + 1,) [s]; None: from feeds
+    wrenches: Matrix | None = None  #: on the tool at the ends of moves, shape=(n + 1, 6) [N, N m]; None: none given
+    names: tuple[str, ...] = ()  #: names of the numbers
+
+    def __post_init__(self) -> None:
+        """Fill in what was not given."""
+        n = len(self.lines)
+        usual: dict[str, Any] = {
+            "rapid": np.zeros(n, dtype=bool),
+            **{name: np.full(n, np.nan) for name in ("feed", "turning_feed", "duration", "blend")},
+            "arc_axes": np.full((n, 2), -1),
+            "arcs": np.zeros((n, 3)),
+            "system": np.full(n, MACHINE),
+        }
+        for name, values in usual.items():
+            if len(getattr(self, name)) != n:
+                object.__setattr__(self, name, values)
+
+    def __len__(self) -> int:
+        """Return the number of moves."""
+        return len(self.lines)
+
+    def __repr__(self) -> str:
+        return f"ToolPath({len(self)} moves of {', '.join(self.names)})"
+
+    @cached_property
+    def turns(self) -> bool:
+        """Whether the path turns the tool: A, B or C are among its components."""
+        return self.components is not None and bool({*self.components} & {*TOOL_COMPONENTS[3:]})
+
+    def values(self, moves: Indices, shares: Array) -> Matrix:
+        """Return the numbers at shares of moves, shape=(m, k); X, Y, Z, A, B, C are those in the base."""
+        start, end, t = self.start[moves], self.end[moves], shares[:, None]
+        found = start + t * (end - start)
+        if self._spline is not None and self.times is not None:
+            first, last = self.times[moves], self.times[moves + 1]
+            return np.asarray(self._spline(first + shares * (last - first)))
+        if len(rows := np.flatnonzero(self.arc_axes[moves, 0] >= 0)):
+            arcs, axes, k = self.arcs[moves[rows]], self.arc_axes[moves[rows]], rows[:, None]
+            from_centre, to_end = (points[k, axes] - arcs[:, :2] for points in (start, end))
+            radii = np.hypot(*from_centre.T), np.hypot(*to_end.T)
+            radius = radii[0] + shares[rows] * (radii[1] - radii[0])
+            angle = np.arctan2(from_centre[:, 1], from_centre[:, 0]) + shares[rows] * arcs[:, 2]
+            circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            found[k, axes] = arcs[:, :2] + radius[:, None] * circle
+        for system, placement in self.placements.items() if self.components is not None else ():
+            if len(rows := np.flatnonzero(self.system[moves] == system)):
+                found[rows] = in_machine(placement, found[rows], turns=self.turns)
+        return found
+
+    def placed(self, placements: Systems) -> ToolPath:
+        """Return the path with coordinate systems moved to other placements in the base, by number."""
+        return ToolPath(**{**vars_of(self), "placements": {**self.placements, **placements}})
+
+    @cached_property
+    def _spline(self) -> Any:
+        """Interpolant of a path with times: a cubic spline through all numbers."""
+        if self.times is None:
+            return None
+        from scipy.interpolate import CubicSpline  # slow to load
+
+        points = np.vstack([self.start[:1], self.end])
+        return CubicSpline(self.times, points) if np.isfinite(points).all() else None
+
+
+def vars_of(path: ToolPath) -> dict[str, Any]:
+    """Return the arguments that make a path."""
+    return {name: getattr(path, name) for name in ToolPath.__dataclass_fields__}
+
+
+def read_path(
+    robot: Robot,
+    path: Path | str,
+    *,
+    workpiece: Mapping[int, ArrayLike] | None = None,
+    has_tool: bool = False,
+) -> ToolPath:
+    r"""Read a tool path: a table of poses (.csv, .txt) or a program in G-code (any other name).
+
+    A table is read by :func:`~pm3dof_pin.kinematics.pose_file.read_poses`; each row after the first ends a move. It may
+    have columns time_s, or feed_m_s or feed_mm_min, and load_fx_N .. load_mz_Nm. Programs: see
+    :mod:`pm3dof_pin.paths.gcode`.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.paths.tool_path import read_path
+        >>> _ = Path("square.ngc").write_text("G21 G0 X0 Y0 Z130\nG1 X10 F600\nG1 Y10\nM2\n")
+        >>> read_path(pm.load("hexapod"), "square.ngc")
+        ToolPath(3 moves of X, Y, Z, A, B, C)
+
+    Args:
+        robot: the robot, with its tool at the tool point.
+        path: the file.
+        workpiece: placements of coordinate systems in the base, by number (54 for G54), shape=(4, 4).
+        has_tool: whether the robot's tool has the length of the real one, which G43 in a program requires.
+
+    Raises:
+        MeasurementError: the table cannot be read, times do not increase, or it has fewer than two poses.
+        GCodeError: a line of the program is not understood.
+        InvalidValueError: the program has no moves.
+    """
+    file = Path(path)
+    if file.suffix.lower() in (".csv", ".txt", ".tsv"):
+        return _from_table(robot, file, read_poses(robot, file))
+    systems = {
+        number: finite_array(f"placement of G{number}", placement, (4, 4))
+        for number, placement in (workpiece or {}).items()
+    }
+    home = tool_components(robot.home.tool_placement.homogeneous)
+    program = read_program(file, read_text(file), systems, home, has_tool=has_tool)
+    if not program.moves:
+        raise InvalidValueError("program", str(file), "at least one move")
+    return from_moves(program.moves, program.letters, systems)
+
+
+def from_moves(moves: Sequence[Move], letters: frozenset[str], systems: Systems) -> ToolPath:
+    """Return the path of the moves of a program that uses these letters."""
+
+    def column(name: str) -> Vector:
+        return np.array([getattr(move, name) for move in moves], dtype=float)
+
+    arcs = [move.arc for move in moves]
+    is_dwell = np.array([move.start == move.end and move.arc is None for move in moves])
+    return ToolPath(
+        lines=np.array([move.line for move in moves]),
+        start=frozen(np.array([move.start for move in moves])),
+        end=frozen(np.array([move.end for move in moves])),
+        components=tuple(c for c, letter in zip(TOOL_COMPONENTS, "XYZABC", strict=True) if letter in letters),
+        rapid=np.array([move.feed is None and move.duration is None for move in moves]) & ~is_dwell,
+        feed=column("feed"),
+        turning_feed=column("turning_feed"),
+        duration=column("duration"),
+        blend=column("blend"),
+        arc_axes=np.array([(-1, -1) if arc is None else arc.axes for arc in arcs]),
+        arcs=np.array([(0.0, 0.0, 0.0) if arc is None else (*arc.centre, arc.sweep) for arc in arcs]),
+        system=np.array([move.system for move in moves]),
+        placements=systems,
+        names=tuple("XYZABC"),
+    )
+
+
+def _from_table(robot: Robot, file: Path, table: PoseTable) -> ToolPath:
+    values, others = np.array(table.poses.coordinates), table.others
+    for k, coordinate in enumerate(robot.coordinates):  # of poses out of reach, as they are written
+        for unit, factor in _UNITS[coordinate.unit].items():
+            if (column := table.columns.get(f"{coordinate.name}_{unit}")) is not None:
+                values[:, k] = np.where(np.isnan(values[:, k]), factor * column, values[:, k])
+    if len(values) < 2:
+        raise MeasurementError(file, "a path needs at least two poses")
+    times = others.get(TIME)
+    if times is not None and not (np.diff(times) > 0.0).all():
+        raise MeasurementError(file, f"{TIME} does not increase from row to row")
+    feed = others.get(FEED, others.get(FEED_PER_MINUTE, np.full(len(values), np.nan)) / 6e4)
+    if times is None and (wrong := feed[1:] <= 0.0).any():
+        raise MeasurementError(file, "a feed is not positive", np.array(table.lines)[1:][wrong].tolist())
+    wrenches = None
+    if any(map(is_wrench, others)):
+        wrenches = wrenches_of(others, robot, len(values))
+    return ToolPath(
+        lines=np.array(table.lines[1:]),
+        start=values[:-1],
+        end=values[1:],
+        feed=feed[1:],
+        times=times,
+        wrenches=wrenches,
+        names=tuple(coordinate.name for coordinate in robot.coordinates),
+    )
