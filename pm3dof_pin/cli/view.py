@@ -197,6 +197,9 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
         message("pm3dof: the tool is rigid in some direction: drawing compliance ellipsoids instead")
         _draw_ellipsoids(viewer, model, "compliance", None)
     except (SingularConfigurationError, DescriptionError) as error:
+        if of == "stiffness" and others is None:  # fewer springs than motions: felt with the other motions free
+            _draw_ellipsoids(viewer, model, of, "free")
+            return
         if model is None or of not in _ELASTIC:
             message(f"pm3dof: ellipsoids are not drawn: {error}")
             return

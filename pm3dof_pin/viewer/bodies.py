@@ -21,7 +21,7 @@ from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Array
-from pm3dof_pin.viewer import objects
+from pm3dof_pin.viewer import colours, objects
 from pm3dof_pin.viewer.objects import Colour
 from pm3dof_pin.viewer.scene import Json
 
@@ -31,11 +31,9 @@ _logger = logging.getLogger(__name__)
 ROOT = "/robot"
 
 _DIRECTIONS = 400  # searched for outermost points
+_ROUND = 48  # points that stand for a round or meshed part
 
-_STICK_COLOUR: Colour = (0.0, 0.447, 0.698)
-_JOINT_COLOUR: Colour = (0.835, 0.369, 0.0)
-_PASSIVE_COLOUR: Colour = (0.55, 0.57, 0.60)
-_GREY = (0.8, 0.8, 0.82, 1.0)
+_JOINT_COLOUR: Colour = (0.55, 0.57, 0.60)
 _FINE = 2000  # number of triangles from which vertices of a mesh are merged
 _CELLS = (200, 100, 50)  # cells per size of the mesh within which they are merged: the first that leaves few enough
 _MAX_VERTICES = 10_000
@@ -43,7 +41,7 @@ _MAX_VERTICES = 10_000
 
 @dataclass(frozen=True)
 class BodyPart:
-    """One drawn object of a body; its placement and box corners, shape=(8, 3) [m], are in the body frame."""
+    """One drawn object of a body; its placement and outermost points, shape=(n, 3) [m], are in the body frame."""
 
     name: str
     scene_object: Json
@@ -105,11 +103,7 @@ class Bodies(tuple[Body, ...]):
     def outermost_points(self, configuration: Configuration) -> Array:
         """Return a few points whose convex hull contains nearly everything drawn, shape=(n, 3) [m]."""
         points = self._corner_points(configuration)
-        index = np.arange(_DIRECTIONS) + 0.5
-        height, azimuth = 1.0 - 2.0 * index / _DIRECTIONS, (3.0 - math.sqrt(5.0)) * math.pi * index  # on a sphere
-        width = np.sqrt(1.0 - height**2)
-        directions = np.stack([width * np.cos(azimuth), width * np.sin(azimuth), height])
-        return np.asarray(points[np.unique((points @ directions).argmax(axis=0))])
+        return np.asarray(points[np.unique((points @ _on_sphere(_DIRECTIONS).T).argmax(axis=0))])
 
     def _corner_points(self, configuration: Configuration) -> Array:
         placements = self.placements(configuration)
@@ -142,57 +136,70 @@ def _drawn_bodies(mechanism: Mechanism, visuals: list[_Visual]) -> tuple[Body, .
             frame = mechanism.model.frames[mechanism.frame_id(visual.body)]
             bodies[visual.body] = Body(frame.name, frame.parentJoint, np.array(frame.placement.homogeneous))
         placement = np.array(visual.shape.placement.se3.homogeneous)
-        parts = _part(visual.shape, placement) if visual.path is None else _mesh_parts(visual, placement)
+        own = colours.ROLES[role_of(mechanism, bodies[visual.body].joint)]
+        parts = _part(visual.shape, placement, own) if visual.path is None else _mesh_parts(visual, placement, own)
         bodies[visual.body].parts.extend(parts)
     return tuple(bodies.values())
 
 
-def _part(shape: Shape, placement: Array) -> list[BodyPart]:
-    """Return a box, cylinder, sphere, ellipsoid or capsule."""
+def role_of(mechanism: Mechanism, joint: int) -> str:
+    """Return what a joint's body is to the machine: base, tool, drive (moved by an actuator) or passive."""
+    if joint == 0:
+        return "base"
+    tool = mechanism.tool_frame
+    if tool is not None and joint == mechanism.model.frames[mechanism.frame_id(tool)].parentJoint:
+        return "tool"
+    return "drive" if mechanism.model.names[joint] in mechanism.actuated_joints else "passive"
+
+
+def _part(shape: Shape, placement: Array, own: Colour) -> list[BodyPart]:
+    """Return a box, cylinder, sphere, ellipsoid or capsule, in a colour of its own if its file gives none."""
     turn, sizes = np.eye(4), shape.sizes
     match shape.kind:
         case "box":
-            drawn, half = [(objects.box(np.array(sizes)), turn)], 0.5 * np.array(sizes)
+            half = 0.5 * np.array(sizes)
+            drawn, corners = [(objects.box(np.array(sizes)), turn)], _box_corners(np.array([-half, half]))
         case "sphere":
-            drawn, half = [(objects.sphere(sizes[0]), turn)], np.full(3, sizes[0])
+            drawn, corners = [(objects.sphere(sizes[0]), turn)], sizes[0] * _on_sphere(_ROUND)
         case "ellipsoid":
-            drawn, half = [(objects.sphere(1.0), np.diag([*sizes, 1.0]))], np.array(sizes)
+            drawn = [(objects.sphere(1.0), np.diag([*sizes, 1.0]))]
+            corners = _on_sphere(_ROUND) * np.array(sizes)
         case "cylinder":
-            drawn = [(objects.cylinder(*sizes), objects.Y_TO_Z)]
-            half = np.array([sizes[0], sizes[0], 0.5 * sizes[1]])
+            drawn, corners = [(objects.cylinder(*sizes), objects.Y_TO_Z)], _rims(sizes[0], sizes[1])
         case "capsule":
             ends = [objects.transform(translation=[0.0, 0.0, side * sizes[1]]) for side in (-0.5, 0.5)]
             drawn = [(objects.cylinder(*sizes), objects.Y_TO_Z)]
             drawn += [(objects.sphere(sizes[0]), end) for end in ends]
-            half = np.array([sizes[0], sizes[0], 0.5 * sizes[1] + sizes[0]])
+            corners = sizes[0] * np.concatenate([_on_sphere(_ROUND)] * 2)
+            corners[:, 2] += np.repeat([-0.5, 0.5], _ROUND) * sizes[1]
         case "mesh":
             return []
         case _:
             assert_never(shape.kind)
-    colour = _colour(shape.colour or _GREY)
+    colour = _colour(shape.colour or (*own, 1.0))
     return [
         BodyPart(
             f"{_name(shape)}_{number}" if number else _name(shape),
             objects.mesh(scene_object, colour[:3], opacity=colour[3]),
             placement @ turn,
             colour,
-            _corners(np.array([-half, half]), placement),
+            _moved(corners, placement),
         )
         for number, (scene_object, turn) in enumerate(drawn)
     ]
 
 
-def _mesh_parts(visual: _Visual, placement: Array) -> list[BodyPart]:
-    """Return the meshes of a file, in their own colours unless the description gives one."""
+def _mesh_parts(visual: _Visual, placement: Array, own: Colour) -> list[BodyPart]:
+    """Return the meshes of a file, in its colours unless the description gives one; else in a colour of their own."""
     shape, parts = visual.shape, []
     assert visual.path is not None
     for number, mesh in enumerate(read_meshes(visual.path)):
         vertices = mesh.vertices * np.array(shape.sizes)
-        colour = _colour(shape.colour or mesh.colour or _GREY)
+        colour = _colour(shape.colour or mesh.colour or (*own, 1.0))
         vertices, faces = _coarsened(vertices, mesh.faces)
         body = objects.mesh(objects.triangles(vertices, faces), colour[:3], opacity=colour[3])
-        box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
-        parts.append(BodyPart(f"{_name(shape)}_{number}", body, placement, colour, _corners(box, placement)))
+        corners = vertices[np.unique((vertices @ _on_sphere(_ROUND).T).argmax(axis=0))]
+        parts.append(BodyPart(f"{_name(shape)}_{number}", body, placement, colour, _moved(corners, placement)))
     return parts
 
 
@@ -219,9 +226,25 @@ def _name(shape: Shape) -> str:
     return shape.name.replace("/", "_")
 
 
-def _corners(box: Array, placement: Array) -> Array:
-    """Return the corners of a box given by least and greatest coordinates, moved by a placement, shape=(8, 3)."""
-    return _moved(np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3), placement)
+def _box_corners(box: Array) -> Array:
+    """Return the corners of a box given by least and greatest coordinates, shape=(8, 3)."""
+    return np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _rims(radius: float, length: float) -> Array:
+    """Return points on the rims of a cylinder along z, shape=(n, 3)."""
+    angle = np.linspace(0.0, 2.0 * np.pi, _ROUND // 2, endpoint=False)
+    rim = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    return np.concatenate([np.column_stack([rim, np.full(len(rim), end * length)]) for end in (-0.5, 0.5)])
+
+
+def _on_sphere(count: int) -> Array:
+    """Return directions evenly on the unit sphere, and those of the axes, shape=(count, 3)."""
+    index = np.arange(count - 6) + 0.5
+    height, azimuth = 1.0 - 2.0 * index / (count - 6), (3.0 - math.sqrt(5.0)) * math.pi * index
+    width = np.sqrt(1.0 - height**2)
+    evenly = np.column_stack([width * np.cos(azimuth), width * np.sin(azimuth), height])
+    return np.concatenate([evenly, np.eye(3), -np.eye(3)])
 
 
 def _moved(points: Array, placement: Array) -> Array:
@@ -230,41 +253,68 @@ def _moved(points: Array, placement: Array) -> Array:
 
 
 def _stick_figure(mechanism: Mechanism) -> tuple[Body, ...]:
-    """Balls at the joints, and rods between them and to the frames of closures and tool; fixed parts are thin."""
+    """Balls at the joints, and rods between them and to the frames of closures and tool, in the colours of roles.
+
+    The base is an outline around the points where it carries something.
+    """
     model = mechanism.model
     size = mechanism.characteristic_length
     bodies = [Body(name, joint, np.eye(4)) for joint, name in enumerate(model.names)]
+    ends: list[list[tuple[str, Array]]] = [[] for _ in bodies]
     for joint in range(1, model.njoints):
-        origin = np.array(model.jointPlacements[joint].translation)
-        bodies[model.parents[joint]].parts.extend(
-            _rod(f"to_{model.names[joint]}", origin, size, is_base=model.parents[joint] == 0)
-        )
+        moves_freely = model.parents[joint] == 0 and model.joints[joint].nv == 6
+        if not moves_freely:
+            ends[model.parents[joint]].append((model.names[joint], np.array(model.jointPlacements[joint].translation)))
         driven = model.names[joint] in mechanism.actuated_joints
-        colour, radius = (_JOINT_COLOUR, 0.055) if driven else (_PASSIVE_COLOUR, 0.045)
+        colour, radius = (colours.ROLES["drive"], 0.055) if driven else (_JOINT_COLOUR, 0.045)
         bodies[joint].parts.append(_ball("joint", np.zeros(3), radius * size, colour))
-    ends = [name for loop in mechanism.closures for name in (loop.frame_a, loop.frame_b)]
-    ends += [mechanism.tool_frame] if mechanism.tool_frame else []
-    for name in dict.fromkeys(ends):
+    frames = [name for loop in mechanism.closures for name in (loop.frame_a, loop.frame_b)]
+    frames += [mechanism.tool_frame] if mechanism.tool_frame else []
+    for name in dict.fromkeys(frames):
         frame = model.frames[mechanism.frame_id(name)]
         point = np.array(frame.placement.translation)
-        bodies[frame.parentJoint].parts.extend(_rod(f"to_{name}", point, size, is_base=frame.parentJoint == 0))
-        bodies[frame.parentJoint].parts.append(_ball(name, point, 0.04 * size, _STICK_COLOUR))
+        ends[frame.parentJoint].append((name, point))
+        own = colours.ROLES["tool" if name == mechanism.tool_frame else role_of(mechanism, frame.parentJoint)]
+        bodies[frame.parentJoint].parts.append(_ball(name, point, 0.04 * size, own))
+    for body, points in zip(bodies, ends, strict=True):
+        own = colours.ROLES[role_of(mechanism, body.joint)]
+        starts = np.zeros((len(points), 3))
+        if not body.joint:
+            starts, points = _outline(points)
+        for start, (name, end) in zip(starts, points, strict=True):
+            body.parts.extend(_rod(f"to_{name}", start, end, size, own))
     return tuple(body for body in bodies if body.parts)
 
 
-def _rod(name: str, end: Array, size: float, *, is_base: bool) -> list[BodyPart]:
-    length = float(np.linalg.norm(end))
+def _outline(points: list[tuple[str, Array]]) -> tuple[Array, list[tuple[str, Array]]]:
+    """Return starts and ends of rods around points, in the order of their azimuth in the plane nearest to them.
+
+    A single point is joined to the origin.
+    """
+    if len(points) < 2:
+        return np.zeros((len(points), 3)), points
+    places = np.array([place for _, place in points])
+    inward = places - places.mean(axis=0)
+    across = np.linalg.svd(inward)[2][:2]
+    order = np.argsort(np.arctan2(inward @ across[1], inward @ across[0]))
+    around = order if len(points) > 2 else order[1:]
+    return places[np.roll(order, 1)][-len(around) :], [points[k] for k in around]
+
+
+def _rod(name: str, start: Array, end: Array, size: float, colour: Colour) -> list[BodyPart]:
+    length = float(np.linalg.norm(end - start))
     if length < 1e-6 * size:
         return []
-    turn = objects.transform(objects.turn_z_to(end), 0.5 * end)
-    colour, radius = (_PASSIVE_COLOUR, 0.008) if is_base else (_STICK_COLOUR, 0.02)
-    scene_object = objects.mesh(objects.cylinder(radius * size, length), colour)
-    return [BodyPart(name, scene_object, turn @ objects.Y_TO_Z, (*colour, 1.0), np.stack([np.zeros(3), end]))]
+    turn = objects.transform(objects.turn_z_to(end - start), 0.5 * (start + end))
+    scene_object = objects.mesh(objects.cylinder(0.02 * size, length), colour)
+    return [
+        BodyPart(name, scene_object, turn @ objects.Y_TO_Z, (*colour, 1.0), _moved(_rims(0.02 * size, length), turn))
+    ]
 
 
 def _ball(name: str, middle: Array, radius: float, colour: Colour) -> BodyPart:
     scene_object = objects.mesh(objects.sphere(radius), colour)
-    corners = middle + radius * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
+    corners = middle + radius * _on_sphere(_ROUND)
     return BodyPart(name, scene_object, objects.transform(translation=middle), (*colour, 1.0), corners)
 
 

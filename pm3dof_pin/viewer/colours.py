@@ -10,6 +10,14 @@ INDEX_STOPS = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80",
 # from almost nothing, pale, to everything, dark
 SHARE_STOPS = ("#e9ecef", "#f6d98b", "#f29f4b", "#d9542b", "#9b1c31", "#5c0f2b")
 
+# Okabe and Ito: bodies whose file gives no colour
+ROLES: dict[str, tuple[float, float, float]] = {
+    "base": (0.36, 0.39, 0.43),
+    "drive": (0.835, 0.369, 0.0),
+    "passive": (0.0, 0.447, 0.698),
+    "tool": (0.95, 0.74, 0.10),
+}
+
 
 def stops(colours: tuple[str, ...]) -> NDArray[np.float64]:
     """Return colours such as "#440154" as red, green, blue in 0 .. 1, shape=(n, 3)."""

@@ -23,6 +23,7 @@ from pm3dof_pin.elastic.indices import OtherMotions
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.typing import Array, Motion
 from pm3dof_pin.viewer import objects
+from pm3dof_pin.viewer.plane import MotionSpace
 from pm3dof_pin.viewer.scene import Scene
 
 EllipsoidMatrix = Literal["stiffness", "compliance"]
@@ -89,12 +90,17 @@ class DrawnEllipsoid:
 
 
 def block(
-    stiffness: ArrayLike | None, compliance: ArrayLike | None, kind: Motion, of: EllipsoidMatrix, others: OtherMotions
+    stiffness: ArrayLike | None,
+    compliance: ArrayLike | None,
+    kind: Motion,
+    of: EllipsoidMatrix,
+    others: OtherMotions,
+    space: MotionSpace | None = None,
 ) -> Array:
     """Return the 3 x 3 block of K or C that an ellipsoid shows, in the unit of :data:`UNITS`.
 
-    C_ff of a compliance and inv(C_ff) of a stiffness with the other three motions free (no force or moment in them);
-    K_ff and inv(K_ff) with them held.
+    C_ff of a compliance and inv(C_ff) of a stiffness with the other motions free (no force or moment in them); K_ff and
+    inv(K_ff) with them held. The motions are all six, or those of a plane, outside of which the block is zero.
 
     Raises:
         InvalidValueError: neither or both of K and C are given, the matrix is not finite or not 6 x 6, or a choice is
@@ -114,13 +120,17 @@ def block(
         raise InvalidValueError("stiffness, compliance", "both" if given else "none", "one of them")
     name, entries = given[0]
     matrix = finite_array(name, entries, (6, 6))
+    basis, translations = (np.eye(6), 3) if space is None else (space.basis, space.translations)
+    matrix = basis.T @ matrix @ basis
     submatrix_of: EllipsoidMatrix = "stiffness" if others == "held" else "compliance"
-    rows = slice(0, 3) if kind == "translation" else slice(3, 6)
-    result: Array = (matrix if name == submatrix_of else inverse_definite(matrix))[rows, rows]
+    rows = slice(0, translations) if kind == "translation" else slice(translations, None)
+    part: Array = (matrix if name == submatrix_of else inverse_definite(matrix))[rows, rows]
     if of != submatrix_of:
-        result = inverse_definite(result)
-    if not np.all(np.isfinite(result)):
+        part = inverse_definite(part)
+    if not np.all(np.isfinite(part)):
         raise SingularConfigurationError(f"no {of} ellipsoid of {kind}: some motion is free or rigid")
+    axes = basis[:3, rows] if kind == "translation" else basis[3:, rows]
+    result: Array = axes @ part @ axes.T
     return result
 
 
@@ -148,17 +158,19 @@ def motion_block(motions: ArrayLike, kind: Motion, of: MotionQuantity) -> Array:
 def draw_ellipsoid(scene: Scene, path: str, kind: Motion) -> None:
     """Draw a unit sphere with axes and rings at a path; :attr:`DrawnEllipsoid.transform` makes it an ellipsoid.
 
-    The surface is faint, so as not to hide the machine; rings in its principal planes show its shape.
+    The surface is faint, so as not to hide the machine, and seen through it; rings in its principal planes show its
+    shape.
     """
     colour = COLOURS[kind]
-    surface = objects.mesh(objects.sphere(1.0), colour, opacity=_OPACITY[kind])
+    surface = objects.mesh(objects.sphere(1.0), colour, opacity=_OPACITY[kind], overlaid=True)
     scene.set_object(f"{path}/surface", surface, casts_shadow=False)
     ends = np.stack([-np.eye(3), np.eye(3)], axis=1).reshape(-1, 3)
     angle = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS + 1)
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     segments = np.stack([circle[:-1], circle[1:]], axis=1).reshape(-1, 3)
     rings = [np.roll(segments, shift, axis=1) for shift in range(3)]
-    scene.set_object(f"{path}/axes", objects.line_segments(np.concatenate([ends, *rings]), colour), casts_shadow=False)
+    lines = objects.line_segments(np.concatenate([ends, *rings]), colour, overlaid=True)
+    scene.set_object(f"{path}/axes", lines, casts_shadow=False)
 
 
 def round_scale(greatest: float, length: float) -> float:

@@ -22,6 +22,26 @@ _DPI = 200
 _LONG = 12  # characters
 _LEG = ("B3", "D3", "E3")  # the one in front of the camera
 
+_ANGLE = re.compile(r"(?:r|theta_|rot_)([xyz])")  # names of angles of the tool: rx, theta_x
+_SPOKEN = re.compile(r"[aeiouy]")
+
+
+def display_name(name: str) -> str:
+    """Return a robot's name as people write it: Hexapod, Three RPS, UR5, Linear delta; names with capitals as given."""
+    words = re.split(r"[_\-\s]+", name)
+    if not name.islower():
+        return " ".join(words)
+    spelled = [word if _SPOKEN.search(word) and not re.search(r"\d", word) else word.upper() for word in words]
+    return " ".join([spelled[0][:1].upper() + spelled[0][1:], *spelled[1:]])
+
+
+def display_label(name: str) -> str:
+    """Return a coordinate's name as people say it: rx is "tilt about x", left_hip_joint "left hip"."""
+    if angle := _ANGLE.fullmatch(name):
+        return f"{'turn' if angle[1] == 'z' else 'tilt'} about {angle[1]}"
+    words = [word for word in re.split(r"[_\-\s]+", name) if word not in ("joint", "")]
+    return " ".join(words) if words and all(len(word) > 1 for word in words) else name
+
 
 def point_names(configuration: Configuration) -> dict[str, str]:
     """Return the frames with short point names, and the tool's, with their mathematical text.

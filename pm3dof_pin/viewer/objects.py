@@ -60,16 +60,19 @@ def mesh(geometry: Json, colour: Colour | None, *, opacity: float = 1.0, overlai
     else:
         material = {"type": "MeshStandardMaterial", "color": _hexadecimal(colour), "roughness": 0.62, "metalness": 0.08}
     if overlaid:  # opaque objects are drawn first, so this one must be translucent
-        return _lowered("Mesh", geometry, {**material, "depthTest": False, "transparent": True, "opacity": 0.999})
+        return _lowered(
+            "Mesh", geometry, {**material, "depthTest": False, "transparent": True, "opacity": min(opacity, 0.999)}
+        )
     # smooth shading needs consistent winding, which foreign meshes may lack
     flat = {"flatShading": geometry["type"] == "BufferGeometry"} if colour else {}
     return _lowered("Mesh", geometry, {**material, **flat, "side": 2, **_translucent(opacity)})
 
 
-def line_segments(points: ArrayLike, colour: Colour, *, opacity: float = 1.0) -> Json:
-    """Return separate lines, one pixel wide, between pairs of points, shape=(2 n, 3) [m]."""
+def line_segments(points: ArrayLike, colour: Colour, *, opacity: float = 1.0, overlaid: bool = False) -> Json:
+    """Return separate lines, one pixel wide, between pairs of points, shape=(2 n, 3) [m]; `overlaid` as in a mesh."""
     geometry = {"type": "BufferGeometry", "data": {"attributes": {"position": _attribute(points)}}}
     material = {"type": "LineBasicMaterial", "color": _hexadecimal(colour), **_translucent(opacity)}
+    material |= {"depthTest": False, "transparent": True} if overlaid else {}
     return _lowered("LineSegments", geometry, material)
 
 

@@ -28,7 +28,7 @@ from pm3dof_pin.viewer.scene import Json, Scene
 if TYPE_CHECKING:
     from pm3dof_pin.viewer.server import SceneServer
 
-_PARTS = ("ellipsoids", "workspace", "path", "pointer", "settings")
+_PARTS = ("ellipsoids", "workspace", "path", "pointer", "settings", "tools")
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,11 @@ class ShownScene:
     def _page(self, *, served: bool) -> str:
         title = str(self.scene.panel.get("title", ""))
         scene = {} if served else self.scene.snapshot()
-        return _page_html(scene, title=title, served=served, programs=self._program_source())
+        return _page_html(scene, title=title, served=served, programs=self._program_source(), still=self._still())
+
+    def _still(self) -> str:
+        """Return a picture (SVG) for browsers without WebGL."""
+        return ""
 
     def _program_source(self) -> str:
         """Return the JavaScript that moves the robot in the page, see :mod:`pm3dof_pin.viewer.page_programs`."""
@@ -193,7 +197,7 @@ def _in_existing_folder(path: Path | str) -> Path:
     return target
 
 
-def _page_html(scene: Json, *, title: str, served: bool, programs: str = "") -> str:
+def _page_html(scene: Json, *, title: str, served: bool, programs: str = "", still: str = "") -> str:
     """Return the page of a scene's snapshot with the programs of its sliders; a served page listens for changes."""
     data = json.dumps(scene, separators=(",", ":"), allow_nan=False)
     for sign in "<>&\u2028\u2029":  # "</script>" and "<!--" take effect even inside a string
@@ -201,6 +205,7 @@ def _page_html(scene: Json, *, title: str, served: bool, programs: str = "") -> 
     return Template(_asset("page.html")).substitute(
         title=escape(title),
         style=_asset("page.css"),
+        still=still,
         socket="yes" if served else "no",
         licences=_meshcat_file("LICENSE") + "\n" + _meshcat_file("dist/main.min.js.LICENSE.txt"),
         meshcat=_meshcat_file("dist/main.min.js"),

@@ -22,8 +22,10 @@ from pm3dof_pin.typing import Array, Matrix, Motion, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
 from pm3dof_pin.viewer.bodies import Body
 from pm3dof_pin.viewer.ellipsoids import EllipsoidQuantity
+from pm3dof_pin.viewer.labels import display_label
 from pm3dof_pin.viewer.legs import about_body
 from pm3dof_pin.viewer.page_programs import PagePrograms
+from pm3dof_pin.viewer.plane import MotionSpace
 from pm3dof_pin.viewer.scene import Json, column_major
 
 _SAME = 1e-6  # largest relative difference of items that the page may update
@@ -39,6 +41,7 @@ class Sliders:
         self._robot = robot
         self._programs = programs
         self._sets = sets_of(robot)
+        self._space = MotionSpace.from_configuration(robot.home)
 
     def machine_data(self, bodies: tuple[Body, ...]) -> Json:
         """Return the data about the robot and its drawn bodies that the page needs besides the programs."""
@@ -71,6 +74,8 @@ class Sliders:
                 {"of": of, "motion": motion, "unit": unit} for (of, motion), unit in ellipsoids.UNITS.items()
             ],
             "explanations": ellipsoids.EXPLANATIONS,
+            "basis": self._space.basis.T.tolist(),
+            "translations": self._space.translations,
             "actuators": actuators,
             "joints": _joints(robot),
             "limits": {"joints": _joint_limits(robot), "swings": _swing_limits(robot)},
@@ -145,7 +150,7 @@ class Sliders:
         try:
             if of == "stiffness" or of == "compliance":
                 compliance = self._compliance(configuration)
-                return None if compliance is None else ellipsoids.block(None, compliance, kind, of, others)
+                return None if compliance is None else ellipsoids.block(None, compliance, kind, of, others, self._space)
             motion, sigmas = self._programs.motion, self._programs.sigmas
             if motion is None or (of == "error" and not len(sigmas)):
                 return None
@@ -202,6 +207,7 @@ def _numbers(robot: Robot, coordinates: Sequence[Coordinate], values: Vector) ->
         numbers.append(
             {
                 "name": coordinate.name,
+                "label": display_label(coordinate.name),
                 "unit": coordinate.unit,
                 "joint": joint,
                 "tool": None if coordinate.tool is None else TOOL_COMPONENTS.index(coordinate.tool),
@@ -258,14 +264,21 @@ def _joint_limits(robot: Robot) -> list[Json]:
         lower, upper = float(robot.lower_limits[index]), float(robot.upper_limits[index])
         if math.isfinite(lower) and math.isfinite(upper):
             unit, scale, offset = limit_reading(robot, name)
-            limits.append({"index": index, "lower": lower, "upper": upper, **_limit_text(name, unit, scale, offset)})
+            joint = next(k for k, each in enumerate(robot.model.joints) if 0 <= index - each.idx_q < each.nq)
+            text = _limit_text(name, unit, scale, offset)
+            limits.append({"index": index, "lower": lower, "upper": upper, "joint": joint, **text})
     return limits
 
 
 def _swing_limits(robot: Robot) -> list[Json]:
     names = closure_names(robot)
     return [
-        {"lower": 0.0, "upper": loop.swing_limit, **_limit_text(names[f"{loop.frame_a}-{loop.frame_b}"], "rad")}
+        {
+            "lower": 0.0,
+            "upper": loop.swing_limit,
+            "joint": robot.model.frames[robot.frame_id(loop.frame_a)].parentJoint,
+            **_limit_text(names[f"{loop.frame_a}-{loop.frame_b}"], "rad"),
+        }
         for loop in robot.closures
         if loop.swing_limit is not None
     ]

@@ -20,7 +20,7 @@ from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import MOTIONS, Array, Motion
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
-from pm3dof_pin.viewer.bodies import Bodies, Body
+from pm3dof_pin.viewer.bodies import Bodies, Body, role_of
 from pm3dof_pin.viewer.ellipsoids import (
     EXPLANATIONS,
     UNITS,
@@ -29,12 +29,14 @@ from pm3dof_pin.viewer.ellipsoids import (
     EllipsoidQuantity,
     MotionQuantity,
 )
-from pm3dof_pin.viewer.labels import label, measures, point_names
+from pm3dof_pin.viewer.labels import display_name, label, measures, point_names
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
 from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, scale_text
+from pm3dof_pin.viewer.plane import MotionSpace
 from pm3dof_pin.viewer.scene import Json
 from pm3dof_pin.viewer.showing import ShownScene
 from pm3dof_pin.viewer.sliders import Sliders, reading, sets_of
+from pm3dof_pin.viewer.still import still_picture
 from pm3dof_pin.viewer.surroundings import draw_surroundings
 
 if TYPE_CHECKING:
@@ -95,7 +97,7 @@ class Viewer(ShownScene):
         port: int | None = None,
     ) -> None:
         require_kind("mechanism", mechanism, Robot, "pm.load")
-        super().__init__(mechanism.name, host, port)
+        super().__init__(display_name(mechanism.name), host, port)
         if model is not None and not mechanism.matches(model.rigid):
             raise InvalidValueError("model", model, f"an elastic model of {mechanism}")
         self.mechanism = mechanism
@@ -109,7 +111,9 @@ class Viewer(ShownScene):
         self._scales: dict[tuple[str, ...], float] = {}
         self._is_recording = False  # frames of a path are not updated by sliders
         self._draw_bodies()
-        self._direction: tuple[float, float, float | None] = (-62.0, 17.0, None)
+        self._space = MotionSpace.from_configuration(mechanism.home)
+        self._direction: tuple[float, float, float | None] = (*self._space.camera, None)
+        self._panel |= {"robot": mechanism.name, "roles": self._roles()}
         if self._sliders is not None:
             self._panel["machine"] = self._sliders.machine_data(self._bodies)
         self._configuration = mechanism.home
@@ -184,7 +188,7 @@ class Viewer(ShownScene):
             DescriptionError: no frame is given, and the mechanism has no tool frame.
         """
         others = others or ("held" if of == "stiffness" else "free")  # shows a block of K or C itself
-        block = ellipsoids.block(stiffness, compliance, kind, of, others)
+        block = ellipsoids.block(stiffness, compliance, kind, of, others, self._space)
         rest = "rotations" if kind == "translation" else "translations"
         return self._draw_ellipsoid(block, kind, of, others, scale=scale, at=at, explanation=f"{rest} {others}")
 
@@ -526,7 +530,7 @@ class Viewer(ShownScene):
                 key=key,
                 title=title,
                 lines=[scale_text(scale, self._unit_length, unit, "semi-axis"), explanation],
-                values=numbers_with_unit(drawn.values, unit),
+                values=numbers_with_unit(drawn.values[-self._space.count(kind) :], unit),
                 colour=colours.css(ellipsoids.COLOURS[kind]),
                 nodes=[path],
                 live=live,
@@ -538,6 +542,18 @@ class Viewer(ShownScene):
 
     def _program_source(self) -> str:
         return self._programs.source if self._programs is not None else ""
+
+    def _still(self) -> str:
+        return still_picture(self._bodies, self._configuration, *self._direction[:2])
+
+    def _roles(self) -> list[Json]:
+        """Return the roles of bodies if these show in their colours."""
+        drawn = {part.colour[:3] for body in self._bodies for part in body.parts}
+        present = {role_of(self.mechanism, body.joint) for body in self._bodies}
+        roles = [role for role, own in colours.ROLES.items() if role in present or own in drawn]
+        if not all(colours.ROLES[role] in drawn for role in roles):
+            return []
+        return [{"role": role, "colour": colours.css(colours.ROLES[role])} for role in roles]
 
     def _draw_bodies(self) -> None:
         for body in self._bodies:

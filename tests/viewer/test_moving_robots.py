@@ -24,6 +24,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import ellipsoids
 from pm3dof_pin.viewer.bodies import joint_placements
 from pm3dof_pin.viewer.page_programs import PagePrograms
+from pm3dof_pin.viewer.plane import MotionSpace
 from pm3dof_pin.viewer.sliders import Sliders
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -169,6 +170,7 @@ def test_elastic_behaviour_is_that_of_the_general_engine(name: str) -> None:
     model = ElasticModel(robot)
     found = [(row, answer) for row, answer in configurations(name, 0) if answer["compliance"]][:10]
     assert found
+    space = MotionSpace.from_configuration(robot.home)
     for _, answer in found:
         behaviour = cartesian_compliance(model, robot.configuration(answer["q"]))
         size = np.sqrt(np.diag(behaviour.compliance))
@@ -181,7 +183,8 @@ def test_elastic_behaviour_is_that_of_the_general_engine(name: str) -> None:
         np.testing.assert_allclose(answer["shares"], shares(behaviour.contributions, WRENCH), atol=1e-6)
         for kind, block in zip(KINDS, answer["blocks"], strict=True):
             try:
-                expected = ellipsoids.block(None, behaviour.compliance, kind["motion"], kind["of"], kind["others"])
+                choice = kind["motion"], kind["of"], kind["others"]
+                expected = ellipsoids.block(None, behaviour.compliance, *choice, space)
             except SingularConfigurationError:
                 assert not np.isfinite(np.array(block, dtype=float)).all()
                 continue

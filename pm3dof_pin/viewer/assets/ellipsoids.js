@@ -1,7 +1,7 @@
 // Options of the ellipsoids: quantity, free or held other motions, and load; and numbers at their axes.
 "use strict";
 
-(() => {
+hasWebGL && (() => {
   const { viewer, node, element, engineering, isShown, on, tell, followAll, lineOf } = pm3dof;
   const form = document.getElementById("choices");
   const selects = { of: form.querySelector("[name=of]"), others: form.querySelector("[name=others]") };

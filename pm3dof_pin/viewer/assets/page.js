@@ -1,10 +1,22 @@
 // The page around meshcat's: feeds it the scene, draws the panel, and moves the machine when a slider moves.
 "use strict";
 
-const pm3dof = (() => {
+const hasWebGL = (() => {
+  try {
+    return Boolean(document.createElement("canvas").getContext("webgl2"));
+  } catch {
+    return false;
+  }
+})();
+
+const pm3dof = hasWebGL && (() => {
+  document.body.classList.add("drawn"); // no picture in its place
   const viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
   const NEAR_SINGULAR = 5; // ratio to the motion at home, or its inverse
   const FIELD_OF_VIEW = 30; // degrees; little perspective, as in a technical drawing
+  const STOPPED = 0x9b0000; // glow of bodies at a limit
+  const AGAIN = 1500; // between attempts to reach a server that has ended [ms]
+  const HALVINGS = 7; // of the way to a slider's place out of reach
   const shown = new Map(); // the user's checkboxes, by entry
   let panel = { legend: [] };
   let robot = null; // moved by sliders
@@ -170,12 +182,20 @@ const pm3dof = (() => {
     const legend = document.getElementById("legend");
     legend.textContent = "";
     data.legend.forEach((entry) => legend.append(entryElement(entry)));
+    if (data.roles && data.roles.length > 1) {
+      const roles = element(legend, "div", "roles");
+      data.roles.forEach(({ role, colour }) => {
+        element(roles, "span", "swatch").style.background = colour;
+        element(roles, "span", "", role);
+      });
+    }
     if (data.camera) frame(data.camera);
     robot = data.machine && programs ? new Robot(data.machine, programs) : null;
     pose = robot ? robot.pose(data.q) : null;
     showSliders();
     data.legend.forEach(applyEntry);
     showNote(data.note || [], data.warnings || []);
+    if (pose) showStopped();
     if (!tidied) tidyControls();
     tidied = true;
     tell("panel");
@@ -278,13 +298,18 @@ const pm3dof = (() => {
     robot.data.sets[activeSet].numbers.forEach((number, index) => {
       const { least, greatest, step, factor, unit } = number.slider;
       const row = element(sliders, "label");
-      element(row, "span", "name", number.name).title = number.name;
+      element(row, "span", "name", number.label).title = number.name;
       ["range", "number"].forEach((type) => {
         const input = element(row, "input");
         Object.assign(input, { type, min: least, max: greatest, step: type === "range" ? step : "any", name: number.name });
         input.addEventListener(type === "range" ? "input" : "change", () => {
           if (Number.isFinite(input.valueAsNumber)) slide(index, input.valueAsNumber / factor);
         });
+        if (type !== "range") return;
+        input.addEventListener("change", () => setSliders()); // the thumb goes where the machine is
+        const place = (value) => `${(100 * (value * factor - least) / (greatest - least)).toFixed(2)}%`;
+        const range = number.slider.range;
+        if (range) input.style.cssText = `--from:${place(range[0])};--to:${place(range[1])}`;
       });
       element(row, "span", "unit", unit);
     });
@@ -328,15 +353,36 @@ const pm3dof = (() => {
     const start = pose.residual < 1e-6 ? pose : robot.home(); // not from open loops
     const wanted = start.values(set);
     wanted[index] = value;
-    const found = robot.moved(start, set, wanted);
-    if (found) {
-      show(found, index);
-    } else {
-      showNote(
-        [set.numbers.map((number, k) => reading(number, wanted[k])).join(", "), "The picture stays at the last pose found."],
-        ["Out of reach: the loops do not close there, or a singular pose lies in between."],
-      );
+    const found = robot.moved(start, set, wanted) || robot.moved(robot.home(), set, wanted);
+    if (found) return show(found, index);
+    const last = lastBefore(start, set, index, value);
+    if (last) show(last, index);
+    showNote(
+      [set.numbers.map((number, k) => reading(number, wanted[k])).join(", "), "The picture shows the last pose found on the way."],
+      ["Out of reach: the loops do not close there, or a singular pose lies in between."],
+    );
+  }
+
+  // The last pose found on the way of one number to a value out of reach; null if there is none.
+  function lastBefore(start, set, index, value) {
+    let low = 0, high = 1, last = null;
+    for (let halving = 0; halving < HALVINGS; halving++) {
+      const values = start.values(set), part = (low + high) / 2;
+      values[index] += part * (value - values[index]);
+      const found = robot.moved(start, set, values);
+      if (found) [last, low] = [found, part];
+      else high = part;
     }
+    return last;
+  }
+
+  // Let bodies at a limit glow red.
+  function showStopped() {
+    const stopped = pose.stoppedJoints();
+    robot.data.bodies.forEach(({ path, joint }) => {
+      const glow = joint && stopped.has(joint) ? STOPPED : 0;
+      node(`${path}/visual`).object.traverse(({ material }) => material?.emissive?.setHex(glow));
+    });
   }
 
   function home() {
@@ -350,6 +396,7 @@ const pm3dof = (() => {
     robot.data.bodies.forEach(({ path, joint, placement }) => {
       placeNode(path, Robot.product(pose.placement(joint), placement));
     });
+    showStopped();
     followAll();
     const lines = robot.data.sets.map((set) => {
       const values = pose.values(set);
@@ -418,7 +465,7 @@ const pm3dof = (() => {
     const greatest = Math.max(...values.map(Math.abs)), scale = fittingScale(entry, greatest, "semi-axis");
     const lengths = values.map((value) => scale * Math.max(Math.abs(value), 1e-6 * greatest));
     placeNode(entry.nodes[0], Robot.stretched(axes, lengths, pose.tool));
-    setValues(entry, engineering(values, entry.live.unit));
+    setValues(entry, engineering(values.slice(-robot.count(entry.live.motion)), entry.live.unit));
   }
 
   // The scale of an entry, or a tenth or hundredth of it if the greatest value would be drawn far too long.
@@ -474,7 +521,17 @@ const pm3dof = (() => {
   function connect() {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss:" : "ws:"}//${location.host}/socket`);
     socket.onmessage = (event) => receive(JSON.parse(event.data));
-    socket.onclose = () => showNote(["The program that served this page has ended.", "The page remains usable."]);
+    socket.onclose = () => {
+      showNote(["The program that served this page has ended.", "The page remains usable, and returns to the program when it runs again."]);
+      comeBack();
+    };
+  }
+
+  // Load the page anew, perhaps of another robot, as soon as a program serves it again.
+  function comeBack() {
+    const socket = new WebSocket(`${location.protocol === "https:" ? "wss:" : "ws:"}//${location.host}/socket`);
+    socket.onopen = () => location.reload();
+    socket.onerror = () => setTimeout(comeBack, AGAIN);
   }
 
   const start = () => {
@@ -491,6 +548,13 @@ const pm3dof = (() => {
   }
 
   const state = { pose: () => pose, robot: () => robot, panel: () => panel, set: () => robot.data.sets[activeSet] };
-  const drawing = { viewer, blend, node, placeNode, pane, turn, bare, element, engineering, scientific, fixed, isShown, setValues, showNote };
+  // The whole machine from the first direction, at home.
+  function reset() {
+    cameraSerial = null;
+    if (robot) home();
+    if (panel.camera) frame(panel.camera);
+  }
+
+  const drawing = { viewer, reset, blend, node, placeNode, pane, turn, bare, element, engineering, scientific, fixed, isShown, setValues, showNote };
   return { ...drawing, ...state, on, tell, flip, slide, chooseSet, home, showAssemblies, show, setPose, followAll, lineOf, receive, start };
 })();

@@ -1,7 +1,7 @@
 // A path: its scrubber, and a plot of a quantity along it; a click goes there.
 "use strict";
 
-(() => {
+hasWebGL && (() => {
   const { viewer, element, engineering, on } = pm3dof;
   const bar = document.getElementById("path");
   const scrubber = bar.querySelector("input"), button = bar.querySelector("button"), select = bar.querySelector("select");

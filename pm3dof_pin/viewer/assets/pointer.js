@@ -1,7 +1,7 @@
 // The pointer: texts about the body under it, and bodies dragged with the machine.
 "use strict";
 
-(() => {
+hasWebGL && (() => {
   const { viewer, node, element, engineering, fixed } = pm3dof;
   const { THREE } = MeshCat;
   const pane = document.getElementById("meshcat-pane"), tip = document.getElementById("tip");

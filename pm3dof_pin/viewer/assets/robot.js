@@ -14,6 +14,7 @@ const Robot = (() => {
   const PULL_STEP = 1e-5; // for the derivative by a coordinate, in characteristic lengths or 0.6 rad
   const PULL_DAMPING = 0.02; // compliance of the dragged point near singular poses [characteristic lengths]
   const SINGULAR = 1e-12; // smaller pivots of a scaled matrix are rounding
+  const AT_LIMIT = 1e-3; // part of a range that counts as its end
   const RIGID = 1e-14; // relative to the greatest squared velocity: less is rounding
   const SHARE_STEP = 1e-4; // relative change of a spring, for the derivative that gives its share
 
@@ -162,14 +163,27 @@ const Robot = (() => {
       });
     }
 
-    // Descriptions of all joints and closures outside their ranges.
-    brokenLimits() {
+    // Limits of joints and closures, with their values.
+    limitReadings() {
       const { joints, swings } = this.robot.data.limits;
-      const readings = [
+      return [
         ...joints.map((limit) => [limit, this.q[limit.index]]),
         ...swings.map((limit, index) => [limit, this.swing(index)]),
       ];
-      return readings
+    }
+
+    // Joints of bodies that are at or beyond a limit.
+    stoppedJoints() {
+      const inside = ([{ lower, upper }, value]) => {
+        const room = AT_LIMIT * (upper - lower);
+        return lower === upper || (lower + (lower ? room : 0) < value && value < upper - room);
+      };
+      return new Set(this.limitReadings().filter((reading) => !inside(reading)).map(([{ joint }]) => joint));
+    }
+
+    // Descriptions of all joints and closures outside their ranges.
+    brokenLimits() {
+      return this.limitReadings()
         .filter(([{ lower, upper }, value]) => !(lower - 1e-9 <= value && value <= upper + 1e-9))
         .map(([{ name, unit, factor, offset, digits, lower, upper }, value]) => {
           const shown = (number) => (factor * number + offset).toFixed(digits);
@@ -351,11 +365,20 @@ const Robot = (() => {
 
     // The 3 x 3 block that an ellipsoid shows, as pm3dof_pin.viewer.ellipsoids.block.
     block(compliance, { motion, of, others }) {
-      const start = motion === "translation" ? 0 : 3;
-      const cut = (matrix) => matrix.slice(start, start + 3).map((row) => row.slice(start, start + 3));
+      const { basis, translations } = this.data, moves = motion === "translation";
+      const part = moves ? [0, translations] : [translations], rows = moves ? [0, 3] : [3, 6];
+      const cut = (matrix) => matrix.slice(...part).map((row) => row.slice(...part));
       const held = others === "held";
-      const block = cut(held ? inverse(compliance) : compliance);
-      return held === (of === "stiffness") ? block : inverse(block);
+      const inSpace = basis.map((a) => basis.map((b) => dot(a, apply(compliance, b))));
+      const kept = cut(held ? inverse(inSpace) : inSpace);
+      const block = held === (of === "stiffness") ? kept : inverse(kept), axes = basis.slice(...part).map((a) => a.slice(...rows));
+      return [0, 1, 2].map((i) => [0, 1, 2].map((j) =>
+        block.reduce((sum, row, k) => sum + axes[k][i] * row.reduce((inner, entry, l) => inner + entry * axes[l][j], 0), 0)));
+    }
+
+    // Number of principal values of an ellipsoid: fewer in a plane.
+    count(motion) {
+      return motion === "translation" ? this.data.translations : this.data.basis.length - this.data.translations;
     }
 
     // Share of each spring in the deflection under a wrench: the logarithmic derivative by the spring's compliance, since

@@ -1,7 +1,7 @@
 // Light and dark theme, keys, and a link to the displayed state.
 "use strict";
 
-(() => {
+hasWebGL && (() => {
   const { viewer, on, home } = pm3dof;
   const DARK = { top_color: [0.13, 0.15, 0.18], bottom_color: [0.055, 0.065, 0.08] };
   const FLOOR = [0.22, 0.245, 0.28, 1];
@@ -40,6 +40,8 @@
   const help = document.getElementById("help");
   const keys = {
     h: home,
+    r: pm3dof.reset,
+    p: () => pm3dof.takePicture(),
     t: other,
     e: () => next("of"),
     o: () => next("others"),
@@ -72,6 +74,7 @@
   // The displayed state, for the fragment of the URL.
   function written() {
     const robot = pm3dof.robot(), parts = new URLSearchParams(), choice = pm3dof.choice(), wrench = pm3dof.wrench();
+    parts.set("robot", pm3dof.panel().robot);
     if (robot) {
       const pose = pm3dof.pose(), [set] = robot.data.sets, short = (values) => [...values].map((value) => Number(value.toPrecision(9))).join(",");
       const values = set ? pose.values(set) : [], usual = set && robot.moved(robot.home(), set, values);
@@ -103,6 +106,7 @@
   // Restore the state of a URL; what it lacks, or says of another robot, is unchanged.
   function follow(text) {
     const parts = new URLSearchParams(text), robot = pm3dof.robot();
+    if (parts.has("robot") && parts.get("robot") !== pm3dof.panel().robot) return; // another robot on the same address
     if (["light", "dark"].includes(parts.get("theme"))) chooseTheme(parts.get("theme"));
     const hidden = parts.has("hidden") ? parts.get("hidden").split(",") : [];
     if (parts.has("camera")) {

@@ -1,7 +1,7 @@
 // The workspace: the quantity that colours it, and a plane that cuts it.
 "use strict";
 
-(() => {
+hasWebGL && (() => {
   const { viewer, blend, node, element, lineOf, on, tell } = pm3dof;
   const { THREE } = MeshCat;
   const AXES = ["x", "y", "z"];

@@ -1,0 +1,65 @@
+"""A still picture (SVG) of a machine for browsers that draw no 3D graphics: outlines of its parts, farthest first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Array
+from pm3dof_pin.viewer import colours
+from pm3dof_pin.viewer.bodies import Bodies
+
+_SIZE = 760.0  # of the picture [pixels]
+_SHADE = 0.75  # of the lines, relative to the faces
+
+
+def still_picture(bodies: Bodies, configuration: Configuration, azimuth: float, elevation: float) -> str:
+    """Return a parallel projection of the drawn bodies as SVG, seen from a direction [deg].
+
+    Each part is drawn as the outline of its points, which is exact for convex parts.
+    """
+    a, e = math.radians(azimuth), math.radians(elevation)
+    view = np.array(
+        [
+            [-math.sin(a), math.cos(a), 0.0],
+            [-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e)],
+            [math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)],
+        ]
+    )
+    parts = sorted(_outlines(bodies, configuration, view), key=lambda part: part[0])
+    if not parts:
+        return ""
+    points = np.concatenate([outline for _, outline, _ in parts])
+    low, size = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-9)
+    shapes = []
+    for _, outline, colour in parts:
+        at = (outline - low) * (_SIZE / size)
+        text = " ".join(f"{x:.1f},{np.ptp(points, axis=0)[1] / size * _SIZE - y:.1f}" for x, y in at)
+        line = colours.css(_SHADE * np.array(colour[:3]))
+        shapes.append(
+            f'<polygon points="{text}" fill="{colours.css(colour[:3])}" fill-opacity="{colour[3]:g}" stroke="{line}"/>'
+        )
+    width, height = np.ptp(points, axis=0) / size * _SIZE
+    box = f"-8 -8 {width + 16:.0f} {height + 16:.0f}"
+    return f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" width="{width + 16:.0f}">{"".join(shapes)}</svg>'
+
+
+def _outlines(
+    bodies: Bodies, configuration: Configuration, view: Array
+) -> Iterator[tuple[float, Array, tuple[float, float, float, float]]]:
+    """Yield the nearness of each part to the eye, its outline, shape=(n, 2), and its colour."""
+    from scipy.spatial import ConvexHull, QhullError  # slower to import than the rest of the page
+
+    placements = bodies.placements(configuration)
+    for body in bodies:
+        turn, at = placements[body.path][:3, :3], placements[body.path][:3, 3]
+        for part in body.parts:
+            points = (part.corners @ turn.T + at) @ view.T
+            try:
+                outline = points[ConvexHull(points[:, :2]).vertices, :2]
+            except (QhullError, ValueError):  # seen edge-on
+                outline = points[[points[:, 0].argmin(), points[:, 0].argmax()], :2]
+            yield float(points[:, 2].mean()), outline, part.colour

@@ -1,0 +1,113 @@
+"""The page of every robot of the tests in a browser: slider ends, numbers of Python, nothing overlaps, no errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.viewer import Viewer
+
+pytestmark = pytest.mark.browser
+
+MACHINES = Path(__file__).parents[1] / "machines"
+ROBOTS = {
+    **{name: name for name in ("pm3dof", "hexapod", "three_rps", "linear_delta")},
+    **{name: MACHINES / name for name in ("agile_eye", "delta", "five_bar", "four_bar", "four_rrr", "three_rpr")},
+    **{name: MACHINES / name / f"{name}.xml" for name in ("ankle", "walker")},
+}
+# a floating base with a loop in each leg, a spring joint in it, and drives that are not all coordinates of the tool
+LEG = """
+<body name="{0}_hip" pos="0 {1} 0"><joint name="{0}_hip" axis="0 1 0" range="-0.6 0.6"/><geom size=".03" mass="1"/>
+  <body name="{0}_thigh"><joint name="{0}_knee" axis="0 1 0" range="-0.5 0.5"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".03" mass="2"/>
+    <body name="{0}_shin" pos="0 0 -.4"><joint name="{0}_shin" axis="0 1 0" range="-1 1"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".03" mass="2"/></body></body>
+  <body name="{0}_rod" pos=".1 0 0"><joint name="{0}_rod" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass=".3"/></body></body>"""
+FLOATING = """<mujoco model="biped"><compiler angle="radian"/><worldbody><body name="pelvis" pos="0 0 1"><freejoint/>
+<geom size=".1" mass="8"/>{0}{1}</body></worldbody>
+<equality><connect body1="left_rod" body2="left_shin" anchor="0 0 -.4"/>
+<connect body1="right_rod" body2="right_shin" anchor="0 0 -.4"/></equality>
+<actuator><motor joint="left_hip"/><motor joint="left_knee"/>
+<motor joint="right_hip"/><motor joint="right_knee"/></actuator>
+</mujoco>"""
+ENDS = """(() => {
+    const robot = pm3dof.robot(), home = robot.home();
+    return robot.data.sets.map((set, s) => set.numbers.flatMap(({ slider: { range, least, greatest, factor } }, k) =>
+        (range || [least / factor, greatest / factor]).map((end) => {
+            const values = home.values(set);
+            values[k] = end;
+            const found = robot.moved(home, set, values);
+            return [values, found && found.residual];
+        })));
+})()"""
+VALUES = """rows => {
+    const robot = pm3dof.robot(), set = robot.data.sets[0];
+    return rows.map((row) => {
+        const pose = robot.moved(robot.home(), set, row);
+        return pose && [pose.residual, pose.values(set), robot.data.tool === null ? null : pose.tool];
+    });
+}"""
+OVERLAPS = """(() => {
+    const box = (each) => each.getBoundingClientRect();
+    const names = ["#panel", "#note", "#tools", "#path:not([hidden])"];
+    const seen = names.map((each) => document.querySelector(each)).filter(Boolean);
+    const all = [...seen, ...document.querySelectorAll("#labels span")].filter((each) => box(each).width);
+    const before = (a, b) => a.right <= b.left + 1 || a.bottom <= b.top + 1;
+    const found = [];
+    all.forEach((a, i) => all.slice(i + 1).forEach((b) => {
+        const apart = before(box(a), box(b)) || before(box(b), box(a));
+        const alike = seen.includes(a) === seen.includes(b);
+        if (!apart && alike) found.push([a, b].map((each) => each.id || each.textContent));
+    }));
+    return found;
+})()"""
+
+
+@pytest.fixture(scope="module", params=[*ROBOTS, "biped"])
+def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    if request.param == "biped":
+        path = tmp_path_factory.mktemp("biped") / "biped.xml"
+        path.write_text(FLOATING.format(LEG.format("left", 0.1), LEG.format("right", -0.1)), encoding="utf-8")
+        return Robot.load(path)
+    return Robot.load(ROBOTS[request.param])
+
+
+def test_the_page_moves_every_robot_as_python_does(page: Any, robot: Robot, tmp_path: Path) -> None:
+    viewer = Viewer(robot)
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    # ends of the sliders: closed, or out of reach; Python, which also tries detours, reaches more beyond the limits
+    for solve, ends in zip((robot.solve, robot.forward), page.ask(ENDS), strict=False):
+        expected = solve(np.array([values for values, _ in ends]), on_failure="nan")
+        for (values, residual), solved, allowed in zip(ends, expected.solved, expected.within_limits, strict=True):
+            assert solved if residual is not None else not allowed, (robot.name, values)
+            assert residual is None or residual < 1e-12, (robot.name, values)
+    # the numbers of Python at random poses
+    home, rng = np.array(robot.home_coordinates), np.random.default_rng(29)
+    ranges = [robot.range_of(coordinate) for coordinate in robot.coordinates]
+    half = np.array([0.25 * min(high - low, 1.0) for low, high in ranges])
+    rows = home + rng.uniform(-1.0, 1.0, (20, len(home))) * half
+    poses = robot.solve(rows, on_failure="nan")
+    for k, answer in enumerate(page.call(VALUES, rows.tolist())):
+        assert poses.solved[k] if answer is not None else not poses.within_limits[k]
+        if answer is not None:
+            assert answer[0] < 1e-12
+            np.testing.assert_allclose(answer[1], rows[k], atol=1e-10)
+            if robot.tool_frame is not None:
+                np.testing.assert_allclose(answer[2], poses.positions[k], atol=1e-10)
+    assert poses.solved.any()
+    # readable at three sizes
+    try:
+        for size in ((1400, 900), (800, 600), (390, 844)):
+            page.browser.resize(*size)
+            page.browser.settle()
+            assert page.ask(OVERLAPS) == [], size
+            assert page.ask("document.documentElement.scrollWidth") <= size[0]
+        assert page.picture().std() > 0.02
+    finally:
+        page.browser.resize(800, 600)
+    assert page.browser.errors == []
