@@ -258,6 +258,13 @@ class Compensation:
             return nominal if self.model is nominal.robot else Poses(self.model, nominal.q)
         return self.model.forward(nominal.commands, guess=nominal.q, on_failure=on_failure)
 
+    def learned_deviations(self, commands: Array) -> Array:
+        """Return the learned part at commands and usual conditions, shape=(n, number of commands) [m, rad].
+
+        Zero without a learned part.
+        """
+        return np.broadcast_to(self._learned(commands, self.with_usual_conditions({})), commands.shape)
+
     def _learned(self, commands: Array, conditions: Conditions) -> Array:
         return np.zeros_like(commands) if self.learned is None else self.learned.deviations(commands, conditions)
 

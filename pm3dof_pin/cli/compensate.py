@@ -87,9 +87,8 @@ def compensate(
         raise InvalidValueError("--approach", approach, "a calibration with hysteresis (time_s or approach_u1 ...)")
     if approach is not None and approach != _PATH:
         given |= _directions(approach, columns_of_approach)
-    if robot is not None and not _moves_alike(asked := _loaded(robot, machine), machine):
-        found = machine.name if asked.name != machine.name else f"another {machine.name}"
-        raise InvalidValueError("--calibration", calibration, f"a calibration of {asked.name}, not of {found}")
+    if robot is not None:
+        require_calibration_of(_loaded(robot, machine), machine, calibration)
     if chosen.is_empty:
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
     if chosen.poses is not None:
@@ -132,6 +131,13 @@ def compensate(
 def _loaded(robot: str, machine: Robot) -> Robot:
     """Load the robot of `--robot`, with the calibrated tool."""
     return Robot.load(robot, tool_frame=machine.tool_frame)
+
+
+def require_calibration_of(asked: Robot, machine: Robot, calibration: Path) -> None:
+    """Check that a calibrated machine is the robot asked for; otherwise raise InvalidValueError."""
+    if not _moves_alike(asked, machine):
+        found = machine.name if asked.name != machine.name else f"another {machine.name}"
+        raise InvalidValueError("--calibration", calibration, f"a calibration of {asked.name}, not of {found}")
 
 
 def _moves_alike(one: Robot, other: Robot) -> bool:

@@ -322,7 +322,7 @@ def _evaluated(
     def trace() -> Program:
         poses = samples_near_home(robot)
         verify(robot, poses)
-        return _jacobian_program(robot, of, by, poses, with_derivatives=with_derivatives)
+        return jacobian_program(robot, of, by, poses, with_derivatives=with_derivatives)
 
     key = repr(
         (
@@ -342,15 +342,24 @@ def _frames(robot: Robot, *rates: Sequence[Rate]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(_frame(robot, rate) for group in rates for rate in group if rate.joint is None))
 
 
-def _jacobian_program(
-    robot: Robot, of: Sequence[Rate], by: Sequence[Rate], poses: Matrix, *, with_derivatives: bool = False
+def jacobian_program(
+    robot: Robot,
+    of: Sequence[Rate],
+    by: Sequence[Rate],
+    poses: Matrix,
+    *,
+    with_derivatives: bool = False,
+    dense: bool = False,
 ) -> Program:
     """Record a Jacobian; outputs `values`, flat, and `sound`, 1 if the loops are closed and nothing is in doubt.
+
+    `poses` are closed configurations near home, shape=(s, nq); `dense` as for
+    :class:`~pm3dof_pin.programs.tree.Tree`.
 
     Raises:
         ProgramError: the motions of `by` do not determine those of `of` at the sample poses.
     """
-    doubt, tree = Doubt(), Tree(Graph(), robot, poses, _frames(robot, of, by))
+    doubt, tree = Doubt(), Tree(Graph(), robot, poses, _frames(robot, of, by), dense=dense)
     velocities, _ = recorded_motions(tree, by, of, doubt)
     values = product(_rows(tree, of), velocities)
     flat = values.ravel()

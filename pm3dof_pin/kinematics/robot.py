@@ -52,7 +52,6 @@ _logger = logging.getLogger(__name__)
 
 _MAX_MAGNITUDE = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
 _MANY = 32  # poses that justify a program
-_CONTRADICTION = 1e-6  # least difference of contradicting commands of redundant drives [rad, characteristic lengths]
 
 
 class LoadOptions(TypedDict, total=False):
@@ -69,6 +68,9 @@ class LoadOptions(TypedDict, total=False):
     engine: Engine
     threads: int | None
 
+
+CONTRADICTION = 1e-6
+"""Least difference of contradicting commands of redundant drives [rad, characteristic lengths]."""
 
 REACH = 1
 """Bit of :attr:`Poses.broken_limits` for an unsolved pose; limit group k has bit k + 1."""
@@ -680,7 +682,7 @@ class Robot(PlacedMechanism):
     def agreeing(self, q: Matrix, commands: Matrix) -> Matrix:
         """Return q, NaN where not all commands are those given."""
         off = np.abs(self._contradictions(q, commands) / coordinate_scales(self, self.command_coordinates)).max(axis=1)
-        agrees: Matrix = np.where((off <= _CONTRADICTION)[:, None], q, np.nan)
+        agrees: Matrix = np.where((off <= CONTRADICTION)[:, None], q, np.nan)
         return agrees
 
     def _contradicting(self, commands: Vector, off: Vector, which: str) -> UnreachablePoseError:

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterable, Mapping
+from typing import Literal, TypeAlias
 
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.programs.printing import literal, parameter_values, statements
+from pm3dof_pin.programs.printing import EXPRESSIONS, literal, parameter_values, statements
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.walk import SHORTEST_LEG, Walk
 from pm3dof_pin.typing import Vector
 
-_CONDITIONS = frozenset(("less", "and", "or", "not"))
+Real: TypeAlias = Literal["double", "float"]
+"""Type of the numbers of printed functions."""
 
-_WALK = """int {name}(const double *start, const double *targets, const double *p, int max_steps, double *q)
+_CONDITIONS = frozenset(("less", "and", "or", "not"))
+_SINGLE = EXPRESSIONS | {
+    name: EXPRESSIONS[name].replace("(", "f(", 1) for name in ("sqrt", "sin", "cos", "atan2", "absolute", "floor")
+}
+
+_WALK = """{linkage}int {name}(const double *start, const double *targets, const double *p, int max_steps, double *q)
 {{
   double x[{n_inputs}], block[{n_stepped} + {n_state}];
   double *const state = block + {n_stepped};
@@ -35,8 +44,8 @@ _WALK = """int {name}(const double *start, const double *targets, const double *
     return 4;
   if (state[{status}] < 0.0)
     return (int)-state[{status}];
-  {name}_branch(start, p, &here);
-  {name}_branch(state + {reached}, p, &there);
+  {branch}(start, p, &here);
+  {branch}(state + {reached}, p, &there);
   if (here != there && state[{singular}] == 0.0)
     return 1;
   for (k = 0; k < {nq}; k++)
@@ -71,31 +80,53 @@ def c99(
         parts += _table(program, parameter_values(program, parameters))
     comment = ["/*", *(f" * {line}".rstrip() for line in _comment(program, summary, texts)), " */"]
     if isinstance(program, Program):
-        return "\n".join([*parts, *comment, *_function(program, program.name), ""])
-    walk, name = program, program.name
+        return "\n".join([*parts, *comment, *function_lines(program, program.name), ""])
+    return "\n".join([*parts, *comment, *walk_lines(program, program.name)])
+
+
+def walk_lines(
+    walk: Walk, name: str, *, linkage: str = "", branch: str | None = None, real: Real = "double"
+) -> list[str]:
+    """Return the functions of a walk, the last of which is `name`; `branch` names one that is printed elsewhere.
+
+    Raises:
+        InvalidValueError: the walk has no program that tells branches apart.
+    """
     if walk.branch is None:
         raise InvalidValueError("program", expected="a walk with a branch")
+    lines: list[str] = []
     for part, each in walk.parts.items():
-        parts += _function(each, f"{name}_{part}", "static ")
+        if part != "branch" or branch is None:
+            lines += function_lines(each, f"{name}_{part}", linkage="static ", real=real)
     loop = _WALK.format(
+        linkage=linkage,
         name=name,
+        branch=branch or f"{name}_branch",
         nq=walk.nq,
         m=walk.n_targets,
         n_inputs=len(walk.start.inputs),
         n_stepped=len(walk.step.results),
         n_state=len(walk.start.results),
-        shortest=repr(SHORTEST_LEG),
-        tolerance=repr(walk.tolerance),
+        shortest=number(SHORTEST_LEG, real),
+        tolerance=number(walk.tolerance, real),
         status=walk.status,
         singular=walk.singular,
         reached=walk.reached.start,
     )
-    return "\n".join([*parts, *comment, loop])
+    return [*lines, in_type(loop, real)]
 
 
-def _function(program: Program, name: str, linkage: str = "") -> list[str]:
-    """Return the lines of a function."""
-    lines = [f"{linkage}void {name}(const double *x, const double *p, double *y)", "{"]
+def in_type(text: str, real: Real) -> str:
+    """Return C with numbers of type double in another type."""
+    if real == "double":
+        return text
+    text = re.sub(r"\b(fabs|floor)\(", r"\1f(", re.sub(r"\b(\d+\.\d+)\b", r"\1f", text))
+    return re.sub(r"\bdouble\b", real, text)
+
+
+def function_lines(program: Program, name: str, *, linkage: str = "", real: Real = "double") -> list[str]:
+    """Return the lines of a program's function, and an empty one."""
+    lines = [f"{linkage}void {name}(const {real} *x, const {real} *p, {real} *y)", "{"]
     used = {number for _, operands in program.lines for number in operands} | set(program.results)
     first_parameter, first_constant = len(program.inputs), program.first_line - len(program.constants)
     for argument, numbers in (("x", range(first_parameter)), ("p", range(first_parameter, first_constant))):
@@ -103,18 +134,19 @@ def _function(program: Program, name: str, linkage: str = "") -> list[str]:
             lines.append(f"  (void){argument};")
     leaves = [f"x[{k}]" for k in range(len(program.inputs))]
     leaves += [f"p[{k}]" for k in range(len(program.parameters))]
-    leaves += [_literal(constant) for constant in program.constants]
+    leaves += [number(constant, real) for constant in program.constants]
     body = statements(
         program,
         leaves,
-        lambda operation, name, value: f"const {'int' if operation in _CONDITIONS else 'double'} {name} = {value};",
+        lambda operation, name, value: f"const {'int' if operation in _CONDITIONS else real} {name} = {value};",
+        EXPRESSIONS if real == "double" else _SINGLE,
     )
     return [*lines, *(f"  {line}" for line in body), "}", ""]
 
 
 def _comment(program: Program | Walk, summary: str, descriptions: Mapping[str, str]) -> Iterable[str]:
     """Yield the lines that describe the function's arguments."""
-    yield _harmless(summary)
+    yield harmless(summary)
     arrays = [("parameters, the same for all poses", "p", program.parameters)]
     if isinstance(program, Walk):
         positions, targets = program.start.inputs[: program.nq], program.start.inputs[program.nq : -2]
@@ -140,10 +172,10 @@ def _comment(program: Program | Walk, summary: str, descriptions: Mapping[str, s
 
 
 def _described(name: str, descriptions: Mapping[str, str]) -> str:
-    return _harmless(f"{name}: {descriptions[name]}" if name in descriptions else name)
+    return harmless(f"{name}: {descriptions[name]}" if name in descriptions else name)
 
 
-def _harmless(text: str) -> str:
+def harmless(text: str) -> str:
     """Return text that does not end the comment it is put in."""
     return text.replace("*/", "* /").replace("/*", "/ *").replace("\n", "\n * ")
 
@@ -152,11 +184,15 @@ def _table(program: Program | Walk, values: Vector) -> list[str]:
     if not len(values):
         return []
     rows = (
-        f"  {_literal(value)}, /* {_harmless(name)} */"
+        f"  {number(value)}, /* {harmless(name)} */"
         for name, value in zip(program.parameters, values.tolist(), strict=True)
     )
     return [f"const double {program.name}_parameters[{len(values)}] = {{", *rows, "};", ""]
 
 
-def _literal(value: float) -> str:
-    return literal(value, "NAN", "INFINITY")
+def number(value: float, real: Real = "double") -> str:
+    """Return a number as a literal of a type; one of single precision is rounded once, from all digits."""
+    text = literal(value, "NAN", "INFINITY")
+    if real == "double" or not math.isfinite(value):
+        return text
+    return f"{text[:-1]}f)" if text.endswith(")") else f"{text}f"

@@ -192,10 +192,13 @@ class Program:
         """Whether the program closes loops, its state being q, `margin` and `jump`."""
         return self.can_iterate and tuple(self.outputs) == ("q", "margin", "jump", "residual")
 
-    def evaluate(self, inputs: ArrayLike, parameters: ArrayLike = ()) -> Array:
-        """Run the program at n poses with NumPy, operation by operation: slow; the reference for the printers."""
-        rows = np.asarray(inputs, dtype=float)
-        values: list[Any] = [*rows.T, *np.asarray(parameters, dtype=float), *map(np.float64, self.constants)]
+    def evaluate(self, inputs: ArrayLike, parameters: ArrayLike = (), dtype: type[np.floating] = np.float64) -> Array:
+        """Run the program at n poses with NumPy, operation by operation: slow; the reference for the printers.
+
+        Every operation is rounded to `dtype`.
+        """
+        rows = np.asarray(inputs, dtype=dtype)
+        values: list[Any] = [*rows.T, *np.asarray(parameters, dtype=dtype), *map(dtype, self.constants)]
         with np.errstate(all="ignore"):
             for operation, operands in self.lines:
                 values.append(OPERATIONS[operation][1](*(values[number] for number in operands)))

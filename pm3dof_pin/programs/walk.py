@@ -243,7 +243,7 @@ def start_program(
     if task.tool:
         assert mechanism.tool_frame is not None
         tool = Tree(graph, mechanism, rows, positions=q, dense=dense).frame(mechanism.tool_frame)
-        origins += [_component(tool, name) for name in task.tool]
+        origins += [placement_component(tool, name) for name in task.tool]
         at_samples = tool_components([Configuration(mechanism, row).tool_placement.homogeneous for row in rows])
         known += [at_samples[:, TOOL_COMPONENTS.index(name)] for name in task.tool]
     names = [*task.joints, *task.tool]
@@ -271,8 +271,8 @@ def start_program(
     return graph.program("start", state)
 
 
-def _component(tool: Placement, name: str) -> Scalar:
-    """Return a component of the tool's placement, R = Rx(rx) Ry(ry) Rz(rz)."""
+def placement_component(tool: Placement, name: str) -> Scalar:
+    """Record a component of a placement, the angles those of R = Rx(rx) Ry(ry) Rz(rz)."""
     R = tool.rotation
     if name in "xyz":
         return tool.translation["xyz".index(name)]  # type: ignore[no-any-return]

@@ -1,74 +1,128 @@
-"""The walk as C99, for a controller: inverse kinematics, and forward kinematics from the pose before.
+"""Exported C: time of a call that follows a motion, compiled by gcc -O2; and a million round trips at random poses.
 
-Wall-clock time of one call, the least of several runs; compiled by gcc -O2. Targets lie on a circle, a hundred of them,
-with a radius of a fifth of the characteristic length, or 0.1 rad; every walk starts where the last one ended.
+python scripts/benchmarks/controller.py [--robots pm3dof hexapod] [--poses 1000000]
+
+Processor time. The motion is a circle about home, with a radius of a fifth of the characteristic length or 0.1 rad, at
+100 mm/s or 0.5 rad/s and 1 kHz: every call starts where the last one ended. Random poses are within limits; each is
+reached from the one before, far away, commands from the pose and the pose from them.
 """
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import subprocess
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 
 import pm3dof_pin as pm
-from pm3dof_pin.kinematics.closing_programs import program_source
-from pm3dof_pin.programs.c import c99
-from pm3dof_pin.programs.closing import Task
+from pm3dof_pin.export.controllers import export_controller
 
-ROUNDS, POSES = 30, 100
-MANY = """
-int many(const double *targets, int n, int m, const double *p, double *q)
+SPEED = {"m": 1e-4, "rad": 5e-4}  # a call
+DRIVER = """
+#include <math.h>
+#include <time.h>
+#include "NAME.h"
+static NAME_state state;
+static double seconds(void)
 {
-  int k, failed = 0;
-  for (k = 0; k < n; k++)
-    failed += walk(q, targets + k * m, p, 1000, q) != 0;
-  return failed;
+  struct timespec t;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+  return t.tv_sec + 1e-9 * t.tv_nsec;
+}
+/* Return the time of one call. */
+double follow(int forward, const double *given, int n, double *answers)
+{
+  const int m = forward ? UPPER_COMMANDS : UPPER_COORDINATES, k = UPPER_COMMANDS + UPPER_COORDINATES - m;
+  double start = 0.0;
+  int i, failed = 0;
+  for (i = -n; i < n; i++) { /* the first round warms up */
+    const int j = i < 0 ? i + n : i;
+    if (i == 0)
+      start = seconds();
+    failed += forward ? NAME_forward(&NAME_nominal, &state, given + j * m, answers + j * k)
+                      : NAME_inverse(&NAME_nominal, &state, given + j * m, answers + j * k);
+  }
+  return failed ? -1.0 : (seconds() - start) / n;
+}
+/* The worst difference of coordinates after a round trip; poses that failed are counted. */
+double round_trips(const double *poses, int n, int *failed)
+{
+  double commands[UPPER_COMMANDS], back[UPPER_COORDINATES], worst = 0.0;
+  int i, k;
+  *failed = 0;
+  for (i = 0; i < n; i++) {
+    const double *const pose = poses + i * UPPER_COORDINATES;
+    NAME_state other = state;
+    if (NAME_inverse(&NAME_nominal, &state, pose, commands) || NAME_forward(&NAME_nominal, &other, commands, back)) {
+      ++*failed;
+      continue;
+    }
+    for (k = 0; k < UPPER_COORDINATES; k++)
+      if (!(fabs(back[k] - pose[k]) <= worst)) worst = fabs(back[k] - pose[k]);
+  }
+  return worst;
 }
 """
 
 
 def main() -> None:
-    print(f"{'robot':14} {'inverse us':>10} {'forward us':>10} {'C lines':>8} {'code kB':>8}")
-    for name in ("pm3dof", "hexapod", "three_rps", "linear_delta"):
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", nargs="*", default=["pm3dof", "hexapod", "three_rps", "linear_delta"])
+    parser.add_argument("--poses", type=int, default=1_000_000, help="random poses for round trips")
+    arguments = parser.parse_args()
+    print(f"{'robot':14} {'inverse us':>10} {'forward us':>10} {'round trips':>12} {'m, rad':>9}")
+    for name in arguments.robots:
         robot = pm.load(name)
-        angle = np.linspace(0.0, 2.0 * np.pi, POSES, endpoint=False)
-        width = [0.2 * robot.characteristic_length if c.unit == "m" else 0.1 for c in robot.coordinates[:2]]
-        circle = np.tile(robot.home_coordinates, (POSES, 1))
-        circle[:, :2] += np.column_stack([width[0] * np.cos(angle), width[1] * np.sin(angle)])
-        poses = robot.solve(circle)
-        row: list[float] = []
-        for coordinates, values in ((robot.coordinates, circle), (robot.command_coordinates, poses.commands)):
-            walk, parameters = program_source(robot).printable_walk(robot, Task.from_coordinates(coordinates))
-            numbers = (values - [c.offset for c in coordinates]) / [c.scale for c in coordinates]
-            order = sorted(range(len(coordinates)), key=lambda k: coordinates[k].joint is None)
-            source = c99(walk.renamed("walk"), summary=f"Closes the loops of {name}.")
-            microseconds, size = timed(source, poses.q, numbers[:, order], parameters)
-            row += [microseconds, source.count("\n"), size / 1000.0]
-        print(f"{name:14} {row[0]:10.2f} {row[3]:10.2f} {row[1] + row[4]:8.0f} {row[2] + row[5]:8.0f}")
+        library = compiled(robot)
+        circle = motion(robot)
+        inverse, commands = followed(library, False, circle, len(robot.commands))
+        forward, back = followed(library, True, commands, circle.shape[1])
+        assert np.abs(back - circle).max() < 1e-9
+        poses = pm.reachable_poses(robot, arguments.poses, np.random.default_rng(0)).coordinates
+        failed = ctypes.c_int()
+        library.round_trips.restype = ctypes.c_double
+        worst = library.round_trips(pointer(poses), len(poses), ctypes.byref(failed))
+        done = f"{len(poses) - failed.value}"
+        print(f"{name:14} {inverse:10.2f} {forward:10.2f} {done:>12} {worst:9.1e}")
 
 
-def timed(source: str, q: np.ndarray, targets: np.ndarray, parameters: np.ndarray) -> tuple[float, int]:
-    """Return the time of a call [us], and the size of the library [bytes]."""
+def motion(robot: pm.Robot) -> np.ndarray:
+    """Return poses along a circle."""
+    kinds = [c.unit for c in robot.coordinates[:2]]
+    width = [0.2 * robot.characteristic_length if unit == "m" else 0.1 for unit in kinds]
+    count = int(2.0 * np.pi * max(radius / SPEED[unit] for radius, unit in zip(width, kinds, strict=True)))
+    angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    circle = np.tile(robot.home_coordinates, (count, 1))
+    circle[:, :2] += np.column_stack([width[0] * np.cos(angle), width[1] * np.sin(angle)])
+    return circle
+
+
+def compiled(robot: pm.Robot) -> ctypes.CDLL:
+    """Return the exported C with the loops of this benchmark."""
     with tempfile.TemporaryDirectory() as folder:
-        path, library = Path(folder) / "walk.c", Path(folder) / "walk.so"
-        path.write_text(source + MANY, encoding="utf-8")
-        subprocess.run(["gcc", "-std=c99", "-O2", "-shared", "-fPIC", path, "-o", library, "-lm"], check=True)
-        many = ctypes.CDLL(str(library)).many
-        size = library.stat().st_size
-    current, targets = q[-1].copy(), np.ascontiguousarray(targets)
-    pointers = [ctypes.c_void_p(array.ctypes.data) for array in (targets, parameters, current)]
-    best = np.inf
-    for _ in range(ROUNDS):
-        start = time.perf_counter()
-        failed = many(pointers[0], len(targets), targets.shape[1], *pointers[1:])
-        best = min(best, time.perf_counter() - start)
-        if failed:
-            raise RuntimeError(f"{failed} poses not reached")
-    return 1e6 * best / len(targets), size
+        library = Path(folder) / "controller.so"
+        source = export_controller(robot, "c", folder)[1]
+        driver = Path(folder) / "driver.c"
+        driver.write_text(DRIVER.replace("NAME", source.stem).replace("UPPER", source.stem.upper()), encoding="utf-8")
+        subprocess.run(["gcc", "-O2", "-shared", "-fPIC", source, driver, "-o", library, "-lm"], check=True)
+        return ctypes.CDLL(str(library))
+
+
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def followed(library: ctypes.CDLL, forward: bool, given: np.ndarray, width: int) -> tuple[float, np.ndarray]:
+    """Return the time of a call [us], the least of ten runs, and the answers."""
+    library.follow.restype = ctypes.c_double
+    answers = np.empty((len(given), width))
+    times = [library.follow(forward, pointer(given), len(given), pointer(answers)) for _ in range(10)]
+    if min(times) < 0.0:
+        raise RuntimeError("a pose was not reached")
+    return 1e6 * min(times), answers
 
 
 if __name__ == "__main__":

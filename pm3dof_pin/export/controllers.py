@@ -1,0 +1,73 @@
+"""The controllers that a robot's kinematics are written for, and the functions that write them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from pm3dof_pin.arrays import require_choice
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.export.c_kinematics import c_files
+from pm3dof_pin.export.controller import Controller, Deviations
+from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.programs.c import Real
+
+ControllerName: TypeAlias = Literal["c"]
+"""Name of a controller; "c" is C99 for any of them."""
+
+_WRITERS: Mapping[ControllerName, Callable[[Controller], dict[str, str]]] = {"c": c_files}
+
+
+def export_controller(
+    robot: Robot,
+    controller: ControllerName,
+    folder: Path | str,
+    *,
+    calibrated: Robot | None = None,
+    deviations: Deviations | None = None,
+    real: Real = "double",
+    header_only: bool = False,
+) -> list[Path]:
+    """Write a robot's kinematics for a controller.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.export.controllers import export_controller
+        >>> [file.name for file in export_controller(pm.load("pm3dof"), "c", "firmware")]
+        ['pm3dof.h', 'pm3dof.c', 'pm3dof_parameters.h']
+
+    Args:
+        robot: the robot as described.
+        controller: see :data:`ControllerName`.
+        folder: output folder, created if missing.
+        calibrated: the robot with identified parameters, as
+            :attr:`Compensation.model <pm3dof_pin.calibration.compensation.Compensation.model>`; a second set of
+            numbers of the same functions.
+        deviations: learned deviations of the commands, as
+            :meth:`Compensation.learned_deviations
+            <pm3dof_pin.calibration.compensation.Compensation.learned_deviations>`.
+        real: type of the numbers of "c"; the header says what error single precision leaves.
+        header_only: whether the header of "c" has the functions, as static inline ones.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InvalidValueError: no such controller, an option that it does not take, a robot without drives, or a learned
+            correction of more than three drives.
+        ProgramError: there is no program for the robot.
+        ConvergenceError: the loops do not close at home.
+        OutputError: a file cannot be written.
+    """
+    require_choice("controller", controller, ControllerName)
+    require_choice("real", real, Real)
+    described = Controller(robot, calibrated=calibrated, deviations=deviations)
+    if controller == "c":
+        files = c_files(described, real=real, header_only=header_only)
+    elif header_only or real != "double":
+        raise InvalidValueError("header_only" if header_only else "real", expected=f"none for {controller}")
+    else:
+        files = _WRITERS[controller](described)
+    return [write_text_atomically(Path(folder) / name, text) for name, text in files.items()]
