@@ -163,7 +163,7 @@ def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
     names = ("tip_error_validation", "tip_error_held_out", "residuals", "workspace", "parameters")
     monkeypatch.setattr(calibrate, "calibration_pictures", lambda *_, **__: dict.fromkeys(names, Figure()))
-    monkeypatch.setattr(report, "_image", lambda figure, text: f"<p>{text}</p>")
+    monkeypatch.setattr(report, "html_image", lambda figure, text: f"<p>{text}</p>")
     monkeypatch.setattr(workspace_errors, "_POINTS", 7)
 
 

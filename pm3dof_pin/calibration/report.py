@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
 from typing import Any
 
@@ -20,6 +18,7 @@ from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.figures.color_scale import color_scale
+from pm3dof_pin.figures.html_page import html_image, html_page, html_table
 from pm3dof_pin.figures.labels import axis_label, parameter_words
 from pm3dof_pin.figures.outlined_mesh import draw_map, outlined_mesh
 from pm3dof_pin.figures.style import COLORMAP, INK, TWO_COLUMNS, house_style, new_figure
@@ -27,12 +26,6 @@ from pm3dof_pin.figures.style import COLORMAP, INK, TWO_COLUMNS, house_style, ne
 _BEFORE, _AFTER, _FLOOR, _NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okabe and Ito
 
 _MICROMETRES = 1e6
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60em; margin: 2em auto; padding: 0 1em; }
-table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em; border-bottom: 1px solid #ddd; }
-td:not(:first-child), th:not(:first-child) { text-align: right; } img { max-width: 100%; }
-"""
-
 _NO_FLOOR = (
     "The part that no command corrects is not drawn: only identified parameters locate it. Both maps lack it, except "
     "for its mean, which the second includes."
@@ -78,15 +71,11 @@ def report_as_html(
         parts += [
             "<h2>Over the workspace</h2>",
             f"<p>According to the calibration, with the other coordinates in the middle of their ranges. {floor}</p>",
-            _image(pictures["workspace"], "maps of the tip error before and after"),
+            html_image(pictures["workspace"], "maps of the tip error before and after"),
         ]
     if calibration.compensation.values is not None:
         parts += _parameters(found, pictures["parameters"])
-    body = "\n".join(parts)
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f"<title>Calibration of {robot}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
-    )
+    return html_page(f"Calibration of {robot}", parts)
 
 
 def _data(calibration: Fit, residuals: Figure) -> list[str]:
@@ -107,7 +96,7 @@ def _data(calibration: Fit, residuals: Figure) -> list[str]:
             "the measurements say: the noise is greater, or the machine has errors outside its parameters."
         )
     listed = "".join(f"<li>{remark}</li>" for remark in remarks) or "<li>No anomalies were found.</li>"
-    return ["<h2>Measurements</h2>", f"<ul>{listed}</ul>", _image(residuals, "residual of each measurement")]
+    return ["<h2>Measurements</h2>", f"<ul>{listed}</ul>", html_image(residuals, "residual of each measurement")]
 
 
 def _budget(summary: Mapping[str, Any]) -> list[str]:
@@ -130,7 +119,7 @@ def _budget(summary: Mapping[str, Any]) -> list[str]:
         "<h2>Sources of the remaining error</h2>",
         "<p>Contributions to the tip error of the corrected machine, root mean square over the workspace; squares add "
         "up.</p>",
-        _table(("source", "tip error [µm]"), [*rows, ("total", f"{1e6 * total:.1f}")]),
+        html_table(("source", "tip error [µm]"), [*rows, ("total", f"{1e6 * total:.1f}")]),
     ]
     for kind in ("drift", "hysteresis"):
         if kind in summary:
@@ -153,7 +142,7 @@ def _budget(summary: Mapping[str, Any]) -> list[str]:
                 + [f"{1e6 * row[key]:.1f}" for key in ("accuracy_AP_m", "repeatability_RP_m")]
                 for row in table
             ]
-            parts += ["<p>As in ISO 9283, uncorrected, noise included:</p>", _table(header, numbers)]
+            parts += ["<p>As in ISO 9283, uncorrected, noise included:</p>", html_table(header, numbers)]
     return parts
 
 
@@ -174,11 +163,11 @@ def _accuracy(summary: Mapping[str, Any], kind: str, picture: Figure | None, tit
         "possible commands: with fewer drives than degrees of freedom of a pose, commands cannot correct everything. "
         "Corrected minus best commands is the expected difference of each joint. E, the energy of the pose error, adds "
         "position and weighted rotation instead of their squares; the best commands are best for the tip error.</p>",
-        _table(
+        html_table(
             ("tip error [µm]", "mean", "95 %", "max"), [[name, *row] for name, row in accuracy_rows(errors).items()]
         ),
         interval,
-        _image(picture, "share of held-out poses below a tip error"),
+        html_image(picture, "share of held-out poses below a tip error"),
         f"<p>{100.0 * errors['within_95_percent_bound']:.0f} % of the 95 % prediction intervals contain the "
         f"measurement. In addition to noise, {1e6 * summary['unexplained_tip_error_m']:.1f} µm (rms) of the tip error "
         "are unexplained.</p>",
@@ -212,8 +201,8 @@ def _parameters(found: Identification, picture: Figure) -> list[str]:
         "<p>The first sigma is what the data say, given their noise and the tolerances. The second adds what they "
         "cannot tell: smooth effects that no parameter describes, hidden in the noise, may shift the parameters by as "
         "much.</p>",
-        _image(picture, "identified parameters with their uncertainties"),
-        _table(("parameter", "value", "sigma of the data", "sigma with hidden effects", "tolerance", "unit"), rows),
+        html_image(picture, "identified parameters with their uncertainties"),
+        html_table(("parameter", "value", "sigma of the data", "sigma with hidden effects", "tolerance", "unit"), rows),
         *_stiffness(found),
     ]
 
@@ -226,22 +215,8 @@ def _stiffness(found: Identification) -> list[str]:
         "<h2>Identified stiffness</h2>",
         "<p>From the deflections under the measured wrenches. A spring whose uncertainty remains at "
         f"{100.0 * STIFFNESS_SIGMA:.0f} % is as described: the measurements do not determine it.</p>",
-        _table(("spring", "stiffness relative to the description", "sigma [%]"), rows),
+        html_table(("spring", "stiffness relative to the description", "sigma [%]"), rows),
     ]
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = ["<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in header) + "</tr>"]
-    lines += ["<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
-    return "<table>" + "\n".join(lines) + "</table>"
-
-
-def _image(figure: Figure, text: str) -> str:
-    buffer = io.BytesIO()
-    with house_style():
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<p><img alt="{escape(text)}" src="data:image/svg+xml;base64,{data}"></p>'
 
 
 def calibration_pictures(

@@ -14,9 +14,11 @@ from pm3dof_pin.capability.table import write_tables
 from pm3dof_pin.capability.transmission import Transmission
 from pm3dof_pin.cli.options import Json, PlaceOptions, RobotOptions
 from pm3dof_pin.cli.output import fixed, message, print_result, table_lines
+from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
 from pm3dof_pin.cli.poses import place
 from pm3dof_pin.cli.transmission_options import TransmissionOptions
 from pm3dof_pin.description.coordinates import shown_in
+from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.typing import Array
 
 
@@ -24,7 +26,11 @@ def transmission(
     which: RobotOptions,
     chosen: PlaceOptions,
     options: TransmissionOptions,
-    out: Annotated[Path | None, typer.Option(help="Folder for the table over the box: CSV and NetCDF.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the table over the box (CSV and NetCDF), pictures, and a page: what to type."),
+    ] = None,
+    formats: Formats = None,
     as_json: Json = False,
 ) -> None:
     """Say what a serial model must know of joints driven through closed loops: angles in degrees, lengths in metres.
@@ -41,11 +47,22 @@ def transmission(
     result = {"robot": robot.name} | _transmission_result(at, **gains) | {"box": _serial_model_result(model)}
     files = []
     if out is not None:
-        files = write_tables(box, out)
+        files = [*write_tables(box, out), *_write_report(model, box, out, formats)]
     print_result(result, [*_lines(at), "", *_box_lines(model)], as_json=as_json, files=files)
     unknown = [name for name, spread in (("--effort", model.torque), ("--speed", model.speed)) if spread is None]
     if unknown:
         message(f"pm3dof: {' and '.join(unknown)}: not described; results that need them are left out")
+
+
+def _write_report(model: SerialModel, box: Transmission, out: Path, formats: list[PictureFormat] | None) -> list[Path]:
+    """Write pictures and the page that answers what to type."""
+    from pm3dof_pin.figures.transmission import transmission_pictures
+    from pm3dof_pin.figures.transmission_report import transmission_report
+
+    pictures = transmission_pictures(box)
+    files = [file for name, figure in pictures.items() for file in save(figure, out / f"{name}.png", formats)]
+    page = transmission_report(box.poses.robot.name, model, pictures)
+    return [*files, write_text_atomically(out / "report.html", page)]
 
 
 def _transmission_result(

@@ -40,7 +40,7 @@ def place(tmp_path_factory: pytest.TempPathFactory, answer: Answer) -> Path:
     assert measured["poses"] == 30
     options = ("--method", "lm+gp", "--out", "calibration", "--format", "png")
     with pytest.MonkeyPatch.context() as patch:  # pictures are files here, and painted in other tests
-        patch.setattr(report, "_image", lambda figure, text: f"<p>{text}</p>")
+        patch.setattr(report, "html_image", lambda figure, text: f"<p>{text}</p>")
         patch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
         calibrated = answer("calibrate", "m.csv", *options, cwd=folder)
     assert calibrated["directory"] == "calibration"

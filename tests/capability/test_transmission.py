@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import linprog
 
 import pm3dof_pin as pm
+from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.capability.serial_model import serial_model
 from pm3dof_pin.capability.transmission import Transmission, held_outside, joint_driven, transmission
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
@@ -150,3 +151,75 @@ def test_the_command(answer: Callable[..., Any], tmp_path: Path) -> None:
     sheet = (tmp_path / "transmission.csv").read_text().splitlines()
     assert len(sheet) == 46
     assert (tmp_path / "transmission.nc").stat().st_size > 1000
+
+
+def test_the_page_and_pictures_say_what_to_type(answer: Callable[..., Any], tmp_path: Path) -> None:
+    options = ["--robot", str(_ANKLE), "--joints", "pitch,roll", "--over", "pitch", "-20", "20", "5"]
+    options += ["--over", "roll", "-10", "10", "5", "--effort", "40", "--speed", "10", "--out", str(tmp_path)]
+    box = answer("transmission", *options)["box"]
+    page = (tmp_path / "report.html").read_text()
+    for joint in ("pitch", "roll"):
+        effort, velocity = (box[key][joint]["least_wrong"] for key in ("effort_limit_N_m", "greatest_pure_speed_rad_s"))
+        assert f"effort=&quot;{effort:.4g}&quot; velocity=&quot;{velocity:.4g}&quot;" in page
+        assert f"armature=&quot;{box['rotor_inertia_kg_m2'][joint]['least_wrong']:.4g}&quot;" in page
+    assert page.count("<img") == 4
+    pictures = {file.stem for file in tmp_path.glob("*.png")}
+    assert pictures == {"torque_polytopes", "speed_polytopes", "joint_maps", "drive_angles"}
+
+
+@pytest.mark.parametrize(
+    ("robot", "box", "drawn"),
+    [
+        (str(_ANKLE.parents[1] / "four_bar" / "four_bar.closures.yaml"), "--over crank_joint -20 20 5", 1),
+        ("pm3dof", "--over theta_x -9 9 5 --over theta_y -9 9 5 --over z_e .45 .5 3", 2),
+    ],
+)
+def test_pictures_of_one_joint_and_of_three(
+    answer: Callable[..., Any], tmp_path: Path, robot: str, box: str, drawn: int
+) -> None:
+    answer("transmission", "--robot", robot, *box.split(), "--out", str(tmp_path))
+    assert len(list(tmp_path.glob("*.png"))) == drawn
+    assert (tmp_path / "report.html").read_text().count("<img") == drawn
+
+
+def test_power_is_the_same_on_both_sides(ankle: Robot) -> None:
+    """tau_drives . v_drives = tau_joints . v_joints at 10,000 poses, with mapped torques and rates."""
+    generator = np.random.default_rng(5)
+    values = generator.uniform([-0.35, -0.17], [0.35, 0.17], (10_000, 2))
+    at = transmission(ankle, ankle.solve(values))
+    torques, rates = generator.normal(size=(2, 10_000, 2))
+    mapped_torques = np.einsum("nuj,nu->nj", at.jacobian, torques)
+    mapped_rates = np.einsum("nuj,nj->nu", at.jacobian, rates)
+    drives, joints = (np.einsum("nk,nk->n", *pair) for pair in ((torques, mapped_rates), (mapped_torques, rates)))
+    assert np.abs(drives - joints).max() < 1e-12
+    step = 1e-6
+    for k in range(2):  # and the rates are those of the drives' positions
+        moved = [ankle.solve(values[::50] + side * step * np.eye(2)[k]).commands for side in (1, -1)]
+        np.testing.assert_allclose((moved[0] - moved[1]) / (2 * step), at.jacobian[::50, :, k], atol=1e-7)
+
+
+def test_polytopes_of_an_arm_against_pycapacity() -> None:
+    """The force polytope of a planar arm of three joints, vertex by vertex."""
+    pycapacity = pytest.importorskip("pycapacity.robot")
+    G = np.array([[-0.9, -0.5, -0.2], [0.7, 0.5, 0.1]])
+    limits = np.array([8.0, 5.0, 3.0])
+    ours = Polytopes.from_inequalities(G.T, -limits, limits)
+    theirs = pycapacity.force_polytope(G, limits, -limits).vertices.T
+    vertices = ours.vertices()
+    assert len(vertices) == len(theirs)
+    for vertex in theirs:
+        assert np.linalg.norm(vertices - vertex, axis=1).min() < 1e-6
+    fast = Polytopes.from_box(G, -limits, limits).vertices()
+    theirs = pycapacity.velocity_polytope(G, limits, -limits).vertices.T
+    for vertex in fast:
+        assert np.linalg.norm(theirs - vertex, axis=1).min() < 1e-6
+
+
+def test_an_effort_of_zero_in_a_description_stands_for_unknown(tmp_path: Path) -> None:
+    text = _ANKLE.read_text().replace(' ctrlrange="-40 40" forcerange="-40 40"', "")
+    (tmp_path / "ankle.xml").write_text(text)
+    robot = joint_driven(pm.load(tmp_path / "ankle.xml"), ["pitch", "roll"])
+    poses = robot.solve(robot.grid(pitch=(-0.1, 0.1, 3), roll=(-0.1, 0.1, 3)))
+    model = serial_model(transmission(robot, poses))
+    assert model.torque is None
+    assert (model.unit_torque.least > 2.0).all()

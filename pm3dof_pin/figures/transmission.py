@@ -1,0 +1,177 @@
+"""Transmissions of joints driven through loops, over two joints: polytopes, apparent inertia, torques, drives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from pm3dof_pin.capability.polytopes import Polytopes
+from pm3dof_pin.capability.transmission import Transmission
+from pm3dof_pin.figures.labels import axis_label, drawn, part_words, plain
+from pm3dof_pin.figures.style import COLORMAP, TWO_COLUMNS, house_style, new_figure, round_ticks
+from pm3dof_pin.typing import Array
+
+_GRID = 5  # polytopes along each joint
+_LINES = 5  # of constant second joint
+
+
+def transmission_pictures(box: Transmission) -> dict[str, Figure]:
+    """Draw a transmission over a grid of joints, by name: over two of them, the others in the middle of their ranges.
+
+    `torque_polytopes`, `speed_polytopes`, `joint_maps` (apparent inertia and greatest pure torque) and `drive_angles`;
+    for a single joint, and where limits are unknown, those that can be drawn. Torques without known efforts are in
+    multiples of the drives' efforts.
+    """
+    figures = {"drive_angles": _drive_angles(box)}
+    if len(box.joints) > 1:
+        figures["joint_maps"] = _joint_maps(box)
+    if len(box.joints) == 2:
+        known = bool(np.isfinite(box.effort).all())
+        torques, unit = (box.torques, "N m") if known else (box.unit_torques, "drive efforts")
+        figures["torque_polytopes"] = _polytopes(box, torques, "Torques beyond those that hold the weight", unit)
+        if np.isfinite(box.speed).all():
+            figures["speed_polytopes"] = _polytopes(box, box.speeds, "Speeds of the joints", "rad/s")
+    return figures
+
+
+def _section(box: Transmission, values: Array) -> Array:
+    """Return values over the first two joints, shape=(n1, n2, ...); the others are in the middle, NaN beyond limits."""
+    shape = box.poses.shape
+    within = box.poses.within_limits.reshape(*shape, *(1,) * (values.ndim - len(shape)))
+    middle = tuple(size // 2 for size in shape[2:])
+    index: Any = (slice(None), slice(None), *middle)
+    return np.asarray(np.where(within, values, np.nan)[index])
+
+
+def _axes(box: Transmission) -> list[tuple[Array, str]]:
+    """Return values and label of the first joints."""
+    found = []
+    for k, coordinate in enumerate(box.poses.robot.coordinates[:2]):
+        others = tuple(axis for axis in range(len(box.poses.shape)) if axis != k)
+        values = np.nanmean(box.poses.coordinates[..., k], axis=others)
+        found.append((drawn(values, coordinate.unit), axis_label(coordinate.name, coordinate.unit)))
+    return found
+
+
+def _title(figure: Figure, box: Transmission, words: str, height: float) -> None:
+    figure.suptitle(f"{words}: {plain(box.poses.robot.name)}", y=1.0 - 0.06 / height, va="top")
+
+
+def _polytopes(box: Transmission, polytopes: Polytopes, words: str, unit: str) -> Figure:
+    """Draw polytopes at a grid of poses, each about its pose, all in one scale, coloured by the greatest circle."""
+    (first, across), (second, up) = _axes(box)
+    within = box.poses.within_limits & np.isfinite(box.jacobian).all(axis=(-2, -1))
+    picks = [np.unique(np.linspace(0, len(v) - 1, min(len(v), _GRID)).round().astype(int)) for v in (first, second)]
+    chosen = [(int(i), int(j)) for i in picks[0] for j in picks[1] if within[i, j]]
+    shapes = {at: polytopes.vertices(at) for at in chosen}
+    spans = [np.ptp(first) or 1.0, np.ptp(second) or 1.0]
+    steps = [span / max(len(pick) - 1, 1) for span, pick in zip(spans, picks, strict=True)]
+    largest = max((float(np.abs(points).max(initial=0.0)) for points in shapes.values()), default=1.0) or 1.0
+    half = 0.45 * np.array(steps) / largest
+    radii = {at: float(polytopes.ball_radius[at]) for at in chosen}
+    height = 4.2
+    with house_style():
+        figure = new_figure(TWO_COLUMNS, height)
+        panel = figure.subplots()
+        scale = Normalize(min(radii.values(), default=0.0), max(radii.values(), default=1.0))
+        for at, points in shapes.items():
+            place = np.array([first[at[0]], second[at[1]]])
+            colour = colormaps[COLORMAP](scale(radii[at]))
+            panel.add_patch(Polygon(place + _around(points) * half, facecolor=colour, edgecolor="#222222", alpha=0.85))
+            panel.plot(*place, "+", color="white", markersize=4.0)
+        panel.set_xlim(first[0] - 0.6 * steps[0], first[-1] + 0.6 * steps[0])
+        panel.set_ylim(second[0] - 0.6 * steps[1], second[-1] + 0.6 * steps[1])
+        panel.set_xlabel(across)
+        panel.set_ylabel(up)
+        round_ticks(panel)
+        bar = figure.colorbar(ScalarMappable(scale, COLORMAP), ax=panel, pad=0.02)
+        bar.set_label(f"greatest circle inside [{unit}]")
+        _title(figure, box, words, height)
+        ends = ", ".join(plain(joint) for joint in box.joints)
+        panel.set_title(f"each about its pose, in axes {ends}; the distance of two is {2 / 0.9 * largest:.3g} {unit}")
+        figure.subplots_adjust(left=0.09, right=0.98, top=1.0 - 0.5 / height, bottom=0.45 / height)
+    return figure
+
+
+def _around(points: Array) -> Array:
+    """Return vertices of a convex polygon in order around it."""
+    away = points - points.mean(axis=0)
+    return points[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
+
+
+def _joint_maps(box: Transmission) -> Figure:
+    """Draw apparent inertia and greatest pure torque of each of the first two joints."""
+    (first, across), (second, up) = _axes(box)
+    rotors = bool(np.nanmax(np.abs(box.rotor_inertia), initial=0.0) > 0.0)
+    inertia = np.einsum("...ii->...i", box.rotor_inertia if rotors else box.inertia)
+    known = bool(np.isfinite(box.effort).all())
+    torques = box.pure_total_torques if known else box.unit_pure_torques
+    maps = {("rotor inertia felt" if rotors else "inertia", "kg m²"): inertia}
+    maps["greatest torque", "N m" if known else "drive efforts"] = torques
+    height = 5.0
+    with house_style():
+        figure = new_figure(TWO_COLUMNS, height)
+        panels = figure.subplots(2, 2, sharex=True, sharey=True)
+        for row, ((words, unit), values) in zip(panels, maps.items(), strict=True):
+            for k, panel in enumerate(row):
+                _map(figure, panel, first, second, _section(box, values)[..., k], unit)
+                panel.set_title(f"{words}, {plain(box.joints[k])}")
+        for panel in panels[-1]:
+            panel.set_xlabel(across)
+        for panel in panels[:, 0]:
+            panel.set_ylabel(up)
+        _title(figure, box, "Joints driven through loops", height)
+        figure.subplots_adjust(left=0.09, right=0.95, top=1.0 - 0.6 / height, bottom=0.45 / height, hspace=0.25)
+    return figure
+
+
+def _map(figure: Figure, panel: Axes, first: Array, second: Array, values: Array, unit: str) -> None:
+    if not np.isfinite(values).any():
+        panel.set_visible(False)
+        return
+    if np.ptp(values[np.isfinite(values)]) > 1e-9 * np.nanmax(np.abs(values)):
+        drawn_map: Any = panel.contourf(first, second, values.T, levels=12, cmap=COLORMAP)
+    else:
+        drawn_map = panel.pcolormesh(first, second, values.T, cmap=COLORMAP)
+    figure.colorbar(drawn_map, ax=panel, pad=0.03).set_label(unit)
+    round_ticks(panel)
+
+
+def _drive_angles(box: Transmission) -> Figure:
+    """Draw each drive's counter reading against the first joint, a line for some values of the second."""
+    (first, across), *others = _axes(box)
+    commands = box.poses.robot.command_coordinates
+    readings: Mapping[str, Array] = {
+        command.name: drawn(box.poses.commands[..., k], command.unit) for k, command in enumerate(commands)
+    }
+    height = 2.8
+    with house_style():
+        figure = new_figure(TWO_COLUMNS, height)
+        panels = figure.subplots(1, len(readings), squeeze=False)[0]
+        for panel, command, values in zip(panels, commands, readings.values(), strict=True):
+            if not others:
+                panel.plot(first, np.where(box.poses.within_limits, values, np.nan))
+            else:
+                second, label = others[0]
+                section = _section(box, values)
+                picks = np.unique(np.linspace(0, len(second) - 1, min(len(second), _LINES)).round().astype(int))
+                for number, j in enumerate(picks):
+                    colour = colormaps[COLORMAP](0.9 * number / max(len(picks) - 1, 1))
+                    panel.plot(first, section[:, j], color=colour, label=f"{second[j]:.3g}")
+                if panel is panels[-1]:
+                    panel.legend(title=label, fontsize=6.5, title_fontsize=6.5)
+            panel.set_xlabel(across)
+            panel.set_ylabel(axis_label(command.name, command.unit))
+            panel.set_title(part_words(command.name))
+            round_ticks(panel)
+        _title(figure, box, "Drives against joints", height)
+        figure.subplots_adjust(left=0.09, right=0.98, top=1.0 - 0.6 / height, bottom=0.5 / height, wspace=0.35)
+    return figure
