@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -22,12 +23,14 @@ from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.refusals import doubts, likely_cause, refusals
 from pm3dof_pin.calibration.report import calibration_pictures, report_as_html
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
-from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
+from pm3dof_pin.errors.presets import with_free_zeros
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import (
     CalibrationRefusedError,
     ConvergenceError,
     InvalidValueError,
+    PM3DofError,
     SingularConfigurationError,
     UnreachablePoseError,
 )
@@ -39,6 +42,7 @@ from pm3dof_pin.typing import OnFailure
 
 logger = logging.getLogger(__name__)
 
+_FAILURES = (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError)
 _WITHIN = 0.5  # least fraction of the validation poses within their bounds
 _LISTED = 10  # parameters named in a warning
 
@@ -114,7 +118,8 @@ def calibrate(
     """Calibrate a machine from measurements, judge the result, and refuse one that would be wrong for the machine.
 
     Parameters are identified and a correction learned (:func:`~pm3dof_pin.calibration.fit.fit`), then evaluated on
-    measured poses held out in turn. Error parameters with which the loops cannot close are left out.
+    measured poses held out in turn. Error parameters with which the loops cannot close are left out. If no error file
+    says how well the drives' zeros are known and the result would be refused, they are taken as unknown.
 
     Example:
         >>> import numpy as np
@@ -149,7 +154,9 @@ def calibrate(
     options = Options(options) if isinstance(options, str) else options or Options()
     if on_refusal not in ("raise", "keep"):
         raise InvalidValueError("on_refusal", on_refusal, "raise or keep")
-    errors, warnings = _closing(_errors_of(errors))
+    errors = _errors_of(errors)
+    undeclared = errors.parameters == all_parameters(errors.robot)
+    errors, warnings = _closing(errors)
 
     def read(each: Measurements | Path | str, name: str) -> Measurements:
         if isinstance(each, (str, Path)):
@@ -167,16 +174,22 @@ def calibrate(
     seen = read(measurements, "measurements")
     others = None if validation is None else read(validation, "validation")
     report_progress = progress or (lambda done, of: None)
+    failure: PM3DofError | None = None
     try:
-        fitted = fit(seen, errors, options)
-        report_progress(1, 4)
-        held_out = HeldOut.from_cross_validation(fitted) if fitted.can_be_judged else None
-        if held_out is not None:
-            fitted = fitted.with_scatter(held_out.scatter)
-        against = refusals(fitted, held_out)
-    except (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError) as error:
+        fitted, held_out, against = _judged(seen, errors, options)
+    except _FAILURES as error:
+        failure = error
+    if undeclared and (failure is not None or against):
+        # nobody said that the drives are homed to absolute marks
+        with contextlib.suppress(*_FAILURES):
+            again = _judged(seen, with_free_zeros(errors), options)
+            if not again[2]:
+                (fitted, held_out, against), failure = again, None
+                warnings.append(_zeros_in_words(fitted))
+                logger.warning("%s", warnings[-1])
+    if failure is not None:
         cause = likely_cause(seen, errors, options.eta)
-        raise CalibrationRefusedError([str(error), *filter(None, [cause])]) from error
+        raise CalibrationRefusedError([str(failure), *filter(None, [cause])]) from failure
     report_progress(2, 4)
     if against:
         against += filter(None, [likely_cause(seen, errors, options.eta)])
@@ -198,6 +211,25 @@ def calibrate(
     parts = {part.name: getattr(fitted, part.name) for part in fields(fitted)}
     parts["warnings"] = (*seen.warnings, *warnings, *fitted.warnings, *further)
     return Calibration(**parts, held_out=held_out, validation=judged, refusals=tuple(against))
+
+
+def _judged(seen: Measurements, errors: GeometricErrors, options: Options) -> tuple[Fit, HeldOut | None, list[str]]:
+    """Return a fit with its cross-validation, and what speaks against it."""
+    fitted = fit(seen, errors, options)
+    held_out = HeldOut.from_cross_validation(fitted) if fitted.can_be_judged else None
+    if held_out is not None:
+        fitted = fitted.with_scatter(held_out.scatter)
+    return fitted, held_out, refusals(fitted, held_out)
+
+
+def _zeros_in_words(fitted: Fit) -> str:
+    found = fitted.identification
+    zeros = [
+        f"{name} {1e3 * value:.3g} m{parameter.unit}"
+        for name, value, parameter in zip(found.errors.names, found.values, found.errors.parameters, strict=True)
+        if parameter.group == "zeros"
+    ]
+    return f"the zeros of the drives are far from the description, so they were taken as unknown: {', '.join(zeros)}"
 
 
 def _errors_of(errors: GeometricErrors | Robot | Path | str) -> GeometricErrors:

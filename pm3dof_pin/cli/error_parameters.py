@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 import typer
@@ -13,12 +13,17 @@ from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import message, print_result, table_lines
 from pm3dof_pin.description.error_file import ErrorEntry, error_file_text, read_error_file
 from pm3dof_pin.description.robots import find_robot
-from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
+from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter, all_parameters
 from pm3dof_pin.errors.minimal_parameters import error_entries, minimal_parameters, poses_needed
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Poses
+
+PresetName: TypeAlias = Literal[
+    "complete", "dh", "zeros-only", "firmware-delta-6", "firmware-delta-7", "firmware-delta-9"
+]
+"""Sets of error parameters by name."""
 
 _SHOWN = 10
 _LISTED = 3
@@ -30,6 +35,10 @@ def error_parameters(
         Path | None,
         typer.Option(metavar="FILE", help="Write the minimal complete set to an error file, for editing."),
     ] = None,
+    preset: Annotated[
+        PresetName | None,
+        typer.Option(help="Write a set by name to --out instead: as people parametrise machines."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """List a robot's geometric errors and find a minimal complete set of error parameters.
@@ -37,10 +46,14 @@ def error_parameters(
     The set is the smallest with the same effect on the tool as all errors of joints, closures and the tool. Parameters
     that the robot's error file declares come first.
     """
+    if preset is not None:
+        _write_preset(which, preset, out, as_json=as_json)
+        return
     file = find_robot(which.path, which.package_path or ()).errors
     loaded = which.load_errors()
     declared = loaded if file.is_file() else None
-    first = declared.parameters if declared is not None else ()
+    given = declared.parameters if declared is not None else ()
+    first = [parameter for parameter in given if isinstance(parameter, GeometricParameter)]
     named = {parameter.name for parameter in first}
     others = [parameter for parameter in all_parameters(loaded.robot) if parameter.name not in named]
     everything = GeometricErrors(loaded.robot, [*first, *others])
@@ -77,6 +90,28 @@ def error_parameters(
         write_text_atomically(out, error_file_text(entries, comment=comment, command_zeros=zeros))
         result["file"] = str(out)
     print_result(result, _described(result, entries), as_json=as_json)
+
+
+def _write_preset(which: RobotOptions, name: PresetName, out: Path | None, *, as_json: bool) -> None:
+    from pm3dof_pin.errors.presets import preset
+
+    if out is None:
+        raise typer.BadParameter("--preset needs --out: the error file to write")
+    robot = which.load()
+    entries, ties = preset(robot, name)
+    comment = (
+        f"Geometric errors of {robot.name}, for calibration: preset {name}.\n"
+        "Directions are in each joint's or frame's own axes. Tolerances are standard deviations: set them for your "
+        "machine."
+    )
+    write_text_atomically(out, error_file_text(entries, comment=comment, command_zeros={}, ties=ties))
+    errors = GeometricErrors.from_file(robot, out)
+    parameters = [
+        {"name": p.name, "class": p.group, "unit": p.unit, "tolerance": p.tolerance} for p in errors.parameters
+    ]
+    result = {"robot": robot.name, "preset": name, "parameters": parameters, "file": str(out)}
+    lines = [f"{robot.name}: {len(errors)} parameters, preset {name}", f"wrote {out}"]
+    print_result(result, lines, as_json=as_json)
 
 
 def _described(result: dict[str, Any], entries: Sequence[ErrorEntry]) -> list[str]:

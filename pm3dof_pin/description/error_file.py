@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import msgspec
+
 from pm3dof_pin.description.schema import AngleTolerance, LengthTolerance, Name, Schema, checked
 from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.description.yaml_file import read_mapping
@@ -30,6 +32,17 @@ class ErrorEntry:
 
 
 @dataclass(frozen=True)
+class TiedEntry:
+    """Displacements that are one parameter."""
+
+    name: str  #: its name
+    parts: Mapping[str, float]  #: factor of each displacement, named as parameters are: joint1.tx
+    group: str  #: its class
+    tolerance: float  #: standard deviation [m, rad]
+    unit: str  #: of the tolerance, "m" or "rad"
+
+
+@dataclass(frozen=True)
 class ErrorFile:
     """A checked error file; its names are not yet compared with the URDF."""
 
@@ -38,6 +51,7 @@ class ErrorFile:
     #: by actuated joint, the frame from which its command is measured along the joint axis
     command_zeros: Mapping[str, str]
     sources: SourceNumbers  #: parameters of all other error sources
+    ties: tuple[TiedEntry, ...] = ()  #: tied parameters
 
 
 class LineSchema(Schema):
@@ -56,10 +70,20 @@ class ClassSchema(Schema):
     errors: list[LineSchema]
 
 
+class TieSchema(Schema):
+    """Displacements that are one parameter: their factors, or a list of equal ones."""
+
+    of: dict[str, float] | list[str]
+    tolerance_m: LengthTolerance | None = None
+    tolerance_rad: AngleTolerance | None = None
+    group: Name = msgspec.field(name="class", default="tied")
+
+
 class ErrorFileSchema(Schema):
     """The keys and value types of an error file."""
 
-    classes: dict[str, ClassSchema]
+    classes: dict[str, ClassSchema] = msgspec.field(default_factory=dict)
+    ties: dict[Name, TieSchema] = msgspec.field(default_factory=dict)
     command_zeros: dict[Name, Name] | None = None
     sources: SourceNumbers = SourceNumbers()
 
@@ -72,7 +96,7 @@ def read_error_file(path: Path | str) -> ErrorFile:
     """
     path = Path(path)
     file = checked(read_mapping(path), ErrorFileSchema, path)
-    if not file.classes:
+    if not (file.classes or file.ties):
         raise DescriptionError(path, "classes", "expected named classes of parts")
     entries = []
     for group, body in file.classes.items():
@@ -85,16 +109,37 @@ def read_error_file(path: Path | str) -> ErrorFile:
                 raise DescriptionError(path, element, "expected 'at', and 'translation' or 'rotation'")
             tolerances = (body.length_tolerance_m, body.angle_tolerance_rad)
             entries.append(ErrorEntry(group, places, translations, rotations, *tolerances))
-    return ErrorFile(path, tuple(entries), file.command_zeros or {}, file.sources)
+    ties = tuple(_tie(path, name, body) for name, body in file.ties.items())
+    return ErrorFile(path, tuple(entries), file.command_zeros or {}, file.sources, ties)
 
 
-def error_file_text(entries: Sequence[ErrorEntry], *, comment: str, command_zeros: Mapping[str, str]) -> str:
+def _tie(path: Path, name: str, body: TieSchema) -> TiedEntry:
+    parts = body.of if isinstance(body.of, dict) else dict.fromkeys(body.of, 1.0)
+    tolerances = [(body.tolerance_m, "m"), (body.tolerance_rad, "rad")]
+    given = [(size, unit) for size, unit in tolerances if size is not None]
+    if not parts or len(given) != 1:
+        raise DescriptionError(
+            path, f"ties.{name}", "expected 'of' with parts, and either tolerance_m or tolerance_rad"
+        )
+    return TiedEntry(name, parts, body.group, *given[0])
+
+
+def error_file_text(
+    entries: Sequence[ErrorEntry], *, comment: str, command_zeros: Mapping[str, str], ties: Sequence[TiedEntry] = ()
+) -> str:
     """Return the text of an error file, headed by a comment; a class takes the tolerances of its first entry."""
     lines = [f"# {line}".rstrip() for line in comment.splitlines()]
     if command_zeros:
         zeros = ", ".join(f"{joint}: {frame}" for joint, frame in command_zeros.items())
         lines += ["", f"command_zeros: {{{zeros}}}"]
-    lines += ["", "classes:"]
+    if ties:
+        lines += ["", "ties:"]
+    for tie in ties:
+        of = ", ".join(f"{name}: {_number(factor)}" for name, factor in tie.parts.items())
+        tolerance = f"tolerance_{tie.unit}: {_number(tie.tolerance)}"
+        lines += [f"  {tie.name}: {{of: {{{of}}}, {tolerance}, class: {tie.group}}}"]
+    if entries:
+        lines += ["", "classes:"]
     for group in dict.fromkeys(entry.group for entry in entries):
         own = [entry for entry in entries if entry.group == group]
         lines += [

@@ -6,7 +6,7 @@ import functools
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Unpack
 
@@ -15,8 +15,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
-from pm3dof_pin.description.error_file import AXES, ErrorFile, read_error_file
-from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError
+from pm3dof_pin.description.error_file import AXES, ErrorFile, TiedEntry, read_error_file
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.kinematics.robot import LoadOptions, Robot
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Motion, Vector
@@ -56,6 +56,39 @@ class GeometricParameter:
         return "m" if self.motion == "translation" else "rad"
 
 
+@dataclass(frozen=True)
+class TiedParameter:
+    """Displacements that are one number of the machine: the radius of three towers, the length of six equal rods.
+
+    Each part is displaced by its factor times the number.
+    """
+
+    name: str  #: its name
+    parts: tuple[tuple[GeometricParameter, float], ...]  #: displacements, all translations or all rotations; factors
+    group: str  #: its class
+    tolerance: float  #: as of a :class:`GeometricParameter` [m, rad]
+
+    @property
+    def place(self) -> str:
+        """The place of its first part."""
+        return self.parts[0][0].place
+
+    @property
+    def motion(self) -> Motion:
+        """The motion of its parts."""
+        return self.parts[0][0].motion
+
+    @property
+    def axis(self) -> tuple[float, float, float]:
+        """The axis of its first part."""
+        return self.parts[0][0].axis
+
+    @property
+    def unit(self) -> str:
+        """Return "m" or "rad"."""
+        return self.parts[0][0].unit
+
+
 class GeometricErrors:
     """The geometric error parameters of one robot. Immutable.
 
@@ -71,7 +104,7 @@ class GeometricErrors:
     Args:
         robot: the robot as described.
         parameters: the error parameters; by default all, see :func:`all_parameters`. Redundant parameters are harmless:
-            :mod:`pm3dof_pin.calibration.identifiability` finds them.
+            :mod:`pm3dof_pin.calibration.identifiability` finds them. A :class:`TiedParameter` moves several places.
         fixed_bearings: coordinate of each actuated joint at the fixed bearing of its screw, from which it expands
             as it warms up, shape=(number of actuated joints,) [m, rad]; 0 by default.
         file: the error file that declares them, if any.
@@ -79,6 +112,8 @@ class GeometricErrors:
     Attributes:
         robot, fixed_bearings, file: see the arguments.
         parameters: the parameters, in the order of p; their `names`.
+        components: the errors of single places that they consist of: these errors themselves if none are tied.
+        combinations: values of the components by one unit of each parameter, shape=(components, parameters).
         tolerances: of the parameters, shape=(number of parameters,) [m, rad].
 
     Raises:
@@ -89,14 +124,16 @@ class GeometricErrors:
     def __init__(
         self,
         robot: Robot,
-        parameters: Iterable[GeometricParameter] | None = None,
+        parameters: Iterable[GeometricParameter | TiedParameter] | None = None,
         *,
         fixed_bearings: ArrayLike | None = None,
         file: Path | None = None,
     ) -> None:
         require_kind("robot", robot, Robot, "pm.load")
         self.robot = robot
-        self.parameters = tuple(all_parameters(robot) if parameters is None else parameters)
+        self.parameters: tuple[GeometricParameter | TiedParameter, ...] = tuple(
+            all_parameters(robot) if parameters is None else parameters
+        )
         self.names = tuple(parameter.name for parameter in self.parameters)
         self.file = file
         self._index = {name: index for index, name in enumerate(self.names)}
@@ -105,6 +142,9 @@ class GeometricErrors:
         actuated = len(robot.actuated_joints)
         bearings = np.zeros(actuated) if fixed_bearings is None else fixed_bearings
         self.fixed_bearings = frozen(finite_array("fixed_bearings", bearings, (actuated,)))
+        self.components, self.combinations = self, frozen(np.eye(len(self.parameters)))
+        if any(isinstance(parameter, TiedParameter) for parameter in self.parameters):
+            self.components, self.combinations = _components(self)
         self._places = _places_in_order(robot, {parameter.place for parameter in self.parameters})
         numbers = {place: number for number, place in enumerate(self._places)}
         self._place_numbers = np.array([numbers[parameter.place] for parameter in self.parameters], dtype=np.intp)
@@ -219,6 +259,8 @@ class GeometricErrors:
 
     def displacements(self, values: ArrayLike | Mapping[str, float]) -> dict[str, pin.SE3]:
         """Return the displacement D of each place, in its own axes, ordered from the root."""
+        if self.components is not self:
+            return self.components.displacements(self.combinations @ self.values(values))
         moves = np.zeros((2, len(self._places), 3))
         np.add.at(moves, (self._turning, self._place_numbers), self.values(values)[:, None] * self._axes)
         return {place: pin.SE3(pin.exp3(turn), shift) for place, shift, turn in zip(self._places, *moves, strict=True)}
@@ -260,9 +302,10 @@ class GeometricErrors:
         """Build a new robot with these errors; see :meth:`values` for their form and the errors raised."""
         nominal = self.robot
         model = nominal.model.copy()
+        hanging = self.components._hanging
         for place, displacement in self.displacements(values).items():
-            if place in self._hanging:
-                _displace_frames(model, self._hanging[place], displacement)
+            if place in hanging:
+                _displace_frames(model, hanging[place], displacement)
             else:
                 joint = model.getJointId(place)
                 model.jointPlacements[joint] = model.jointPlacements[joint] * displacement
@@ -282,6 +325,22 @@ class GeometricErrors:
         if name not in self._index:
             raise InvalidValueError("geometric parameter", name, f"one of {', '.join(self.names)}")
         return self._index[name]
+
+
+def _components(errors: GeometricErrors) -> tuple[GeometricErrors, Matrix]:
+    """Return the displacements of single places that parameters consist of, and their values by one unit of each."""
+    parts = [
+        parameter.parts if isinstance(parameter, TiedParameter) else ((parameter, 1.0),)
+        for parameter in errors.parameters
+    ]
+    every = {(part.place, part.motion, part.axis): part for own in parts for part, _ in own}
+    numbers = {key: k for k, key in enumerate(every)}
+    combinations = np.zeros((len(every), len(parts)))
+    for column, own in enumerate(parts):
+        for part, factor in own:
+            combinations[numbers[part.place, part.motion, part.axis], column] += factor
+    named = [replace(part, name=f"{k}") for k, part in enumerate(every.values())]
+    return GeometricErrors(errors.robot, named, fixed_bearings=errors.fixed_bearings), frozen(combinations)
 
 
 def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
@@ -356,11 +415,13 @@ def _axis_parameters(place: str, motion: Motion, group: str, tolerance: float) -
     return [_parameter(place, motion, axis, _unit_vector(axis), group, tolerance) for axis in AXES]
 
 
-def _check(parameters: Sequence[GeometricParameter]) -> None:
+def _check(parameters: Sequence[GeometricParameter | TiedParameter]) -> None:
     for name, count in Counter(parameter.name for parameter in parameters).items():
         if count > 1:
             raise InvalidValueError("geometric parameter", name, "each name once")
     for parameter in parameters:
+        if isinstance(parameter, TiedParameter) and len({part.motion for part, _ in parameter.parts}) != 1:
+            raise InvalidValueError(parameter.name, "its parts", "translations only, or rotations only, at least one")
         if not abs(math.hypot(*parameter.axis) - 1.0) <= _UNIT:
             raise InvalidValueError(f"axis of {parameter.name}", parameter.axis, "a unit vector")
         if not (np.isfinite(parameter.tolerance) and parameter.tolerance > 0.0):
@@ -378,8 +439,8 @@ def _unit_vector(axis: str) -> tuple[float, float, float]:
     return (x, y, z)
 
 
-def _parameters_of(robot: Robot, file: ErrorFile) -> list[GeometricParameter]:
-    parameters = []
+def _parameters_of(robot: Robot, file: ErrorFile) -> list[GeometricParameter | TiedParameter]:
+    parameters: list[GeometricParameter | TiedParameter] = []
     for entry in file.entries:
         words: list[tuple[Motion, str, float]] = [
             *(("translation", word, entry.length_tolerance) for word in entry.translations),
@@ -389,7 +450,28 @@ def _parameters_of(robot: Robot, file: ErrorFile) -> list[GeometricParameter]:
             for motion, word, tolerance in words:
                 for label, axis in _directions(robot, place, word, file):
                     parameters.append(_parameter(place, motion, label, axis, entry.group, tolerance))
+    for tie in file.ties:
+        parts = tuple((_part(robot, name, tie, file), factor) for name, factor in tie.parts.items())
+        unit = parts[0][0].unit
+        if any(part.unit != unit for part, _ in parts) or unit != tie.unit:
+            expected = f"translations with tolerance_m, or rotations with tolerance_rad, not {', '.join(tie.parts)}"
+            raise DescriptionError(file.path, f"ties.{tie.name}", f"expected {expected}")
+        parameters.append(TiedParameter(tie.name, parts, tie.group, tie.tolerance))
     return parameters
+
+
+def _part(robot: Robot, name: str, tie: TiedEntry, file: ErrorFile) -> GeometricParameter:
+    """Return the displacement that a tie names: joint.tx, frame.ry, joint.t_along, joint.r_across2."""
+    place, _, label = name.rpartition(".")
+    motion: Motion = "rotation" if label[:1] == "r" else "translation"
+    word = label[1:].strip("_12")
+    if label[:1] in ("t", "r") and word in (*AXES, "along", "across"):
+        placement_on_body(robot, place)
+        for found, axis in _directions(robot, place, word, file):
+            if found == label[1:]:
+                return _parameter(place, motion, found, axis, tie.group, tie.tolerance)
+    expected = f"displacements such as {robot.actuated_joints[0]}.tx or .r_along, not '{name}'"
+    raise DescriptionError(file.path, f"ties.{tie.name}", f"expected {expected}")
 
 
 def _directions(robot: Robot, place: str, word: str, file: ErrorFile) -> list[tuple[str, tuple[float, float, float]]]:

@@ -21,6 +21,7 @@ from pm3dof_pin.errors.error_parameters import (
     LENGTH_TOLERANCE,
     GeometricErrors,
     GeometricParameter,
+    TiedParameter,
     all_parameters,
 )
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
@@ -37,8 +38,8 @@ _MIN_POSES = 60
 _DISTINCT = (0.1, 1e-2, 1e-3, 1e-8)  # independent fraction of an effect: more distinct ones go first
 _ALIGNED = 0.99
 
-_Kind = Literal["zero of a drive", "length", "position", "axis of a drive", "direction", "tool"]
-_PREFERENCE: tuple[_Kind, ...] = ("zero of a drive", "length", "position", "axis of a drive", "direction", "tool")
+Kind = Literal["zero of a drive", "length", "position", "axis of a drive", "direction", "tool"]
+_PREFERENCE: tuple[Kind, ...] = ("zero of a drive", "length", "position", "axis of a drive", "direction", "tool")
 
 
 def poses_needed(robot: Robot) -> int:
@@ -77,7 +78,7 @@ def minimal_parameters(
     """
     preferred_names = set(errors.select(first).names)
     fitting = closable(errors, poses[:_CLOSING])
-    kinds = [_PREFERENCE.index(_kind(fitting.robot, parameter)) for parameter in fitting.parameters]
+    kinds = [_PREFERENCE.index(kind_of(fitting.robot, parameter)) for parameter in fitting.parameters]
     numbers = range(len(fitting))
     preferred = [k for k in numbers if fitting.names[k] in preferred_names]
     others = sorted((k for k in numbers if fitting.names[k] not in preferred_names), key=lambda k: kinds[k])
@@ -132,7 +133,8 @@ def _independent(effects: Matrix, rounds: Iterable[tuple[Sequence[int], float, f
     return chosen
 
 
-def _kind(robot: Robot, parameter: GeometricParameter) -> _Kind:
+def kind_of(robot: Robot, parameter: GeometricParameter | TiedParameter) -> Kind:
+    """Tell what a displacement is of a machine: the zero of a drive, a length, a direction."""
     model, place = robot.model, parameter.place
     axis = np.array(parameter.axis)
     is_joint = model.existJointName(place)
@@ -153,7 +155,7 @@ def _kind(robot: Robot, parameter: GeometricParameter) -> _Kind:
     return "length" if distance > 0.0 and abs(translation @ axis) > _ALIGNED * distance else "position"
 
 
-def _word(parameter: GeometricParameter) -> str:
+def _word(parameter: GeometricParameter | TiedParameter) -> str:
     """Return the word of the error file for a direction: an axis of the place, or along or across the joint's."""
     return parameter.name.rsplit(".", 1)[1][1:].strip("_12")
 

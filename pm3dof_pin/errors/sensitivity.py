@@ -85,6 +85,9 @@ def sensitivities(
     engine = errors.robot.engine if engine is None else engine
     require_choice("engine", engine, Engine)
     p = errors.zeros if values is None else errors.values(values)
+    if errors.components is not errors:
+        found = sensitivities(errors.components, poses, errors.combinations @ p, joints=joints, engine=engine)
+        return Sensitivities(frozen(found.errors @ errors.combinations), found.commands)
     unsolved = np.flatnonzero(~np.isfinite(poses.q).all(axis=-1))
     if unsolved.size:
         raise InvalidValueError("poses", problem=f"include pose {unsolved[0]}, which was not solved")
@@ -142,6 +145,10 @@ def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricEr
         return errors
     if poses is None:
         poses = reachable_poses(errors.robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
+    if errors.components is not errors:  # a tied parameter needs all of its parts
+        closing = closable(errors.components, poses).names
+        lost = np.array([name not in closing for name in errors.components.names])
+        return errors.select(_names(errors, ~(errors.combinations[lost] != 0.0).any(axis=0)))
     loops = _Loops(errors, poses, errors.zeros)
     turning = np.array([parameter.motion == "rotation" for parameter in errors.parameters])
     order = np.lexsort((turning, loops.idle()))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry
@@ -62,6 +63,7 @@ def at_zero_errors(errors: GeometricErrors) -> tuple[Program, Vector]:
     Raises:
         ProgramError: see :func:`evaluated`.
     """
+    _require_places(errors)
     twists = errors.local_twists(errors.zeros)
     program = _traced(errors.robot, errors, twists, _apart, at_zero=True)
     return program, _parameters(errors.robot, program, twists)
@@ -78,11 +80,17 @@ def reduced(
     Raises:
         ProgramError: see :func:`evaluated`.
     """
+    _require_places(errors)
     robot, twists = errors.robot, errors.local_twists(errors.zeros)
     compiled = cache.known(
         _key(name, robot, errors, at_zero=True), lambda: _traced(robot, errors, twists, reduce, at_zero=True, name=name)
     )
     return compiled, _parameters(robot, compiled.program, twists, numbers)
+
+
+def _require_places(errors: GeometricErrors) -> None:
+    if errors.components is not errors:
+        raise ProgramError(f"{errors.robot.name}: no program for tied parameters: they have several places")
 
 
 def _apart(motions: Motions) -> Outputs:
