@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.motions import elastic_motions
+from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
@@ -75,9 +75,10 @@ def natural_modes(
     elastic = model.configuration(configuration)
     motions = elastic_motions(model, elastic)
     mass = mass_matrix(elastic, payloads=payloads)
-    inverse_squares, shapes = _vibrations(motions.elastic, motions.unstrained, mass)
-    kept = inverse_squares > MASSLESS * inverse_squares.max(initial=0.0)
-    chosen = np.flatnonzero(kept)[::-1][:count]
+    inverse_squares, directions, free = elastic_modes(motions, mass)
+    kept = inverse_squares > 0.0
+    chosen = np.flatnonzero(kept)[:count]
+    shapes = (motions.elastic - free @ (free.T @ mass @ motions.elastic)) @ directions
     shapes = _with_definite_sign(shapes[:, chosen] / np.sqrt(inverse_squares[chosen]), elastic)
     return Modes(
         configuration=elastic,
@@ -90,11 +91,22 @@ def natural_modes(
     )
 
 
-def _vibrations(elastic: Matrix, free: Matrix, mass: Matrix) -> tuple[Vector, Matrix]:
-    """Return 1 / omega^2, ascending, and the motions, with strain energy 1/2, shapes=(e,), (nv, e)."""
-    moved = elastic - free @ np.linalg.lstsq(free.T @ mass @ free, free.T @ mass @ elastic)[0]
+def elastic_modes(motions: ElasticMotions, mass: Matrix) -> tuple[Vector, Matrix, Matrix]:
+    """Return the natural modes in the elastic motions Z, and a basis N of the free motions that have mass.
+
+    Returns:
+        1 / omega_r^2, descending, zero for modes without mass, shape=(e,) [s^2]; the modes as combinations of Z,
+        orthonormal, shape=(e, e); and N with N^T M N = 1, shape=(nv, u).
+    """
+    elastic, free = motions.elastic, motions.unstrained
+    masses, turned = np.linalg.eigh(free.T @ mass @ free)
+    heavy = masses > MASSLESS * masses.max(initial=0.0)
+    free = free @ (turned[:, heavy] / np.sqrt(masses[heavy]))
+    moved = elastic - free @ (free.T @ mass @ elastic)
     inverse_squares, directions = np.linalg.eigh(moved.T @ mass @ moved)
-    return inverse_squares, moved @ directions
+    inverse_squares, directions = inverse_squares[::-1], directions[:, ::-1]
+    massless = inverse_squares <= MASSLESS * inverse_squares.max(initial=0.0)
+    return np.where(massless, 0.0, inverse_squares), directions, free
 
 
 def _with_definite_sign(shapes: Matrix, configuration: Configuration) -> Matrix:

@@ -20,7 +20,7 @@ from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry, masses
 from pm3dof_pin.programs.closed_motions import closed_motions
-from pm3dof_pin.programs.elimination import DROPPED, Doubt, product, projected, samples
+from pm3dof_pin.programs.elimination import DROPPED, Doubt, identity, product, projected, samples
 from pm3dof_pin.programs.graph import Graph, sqrt
 from pm3dof_pin.programs.loops import checked_program
 from pm3dof_pin.programs.masses import Masses
@@ -82,16 +82,43 @@ def _inertia(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
 
 def _vibrations(roots: Roots, model: pin.Model) -> Objects:
     """Record Z'^T M Z' of :mod:`pm3dof_pin.dynamics.modes`, its lower triangle row by row [s^2]."""
-    elastic, tree, root, doubt = roots.model, roots.tree, roots.springs, Doubt()
+    doubt = Doubt()
+    return roots.noted(_vibrating(roots, model, doubt)[0], doubt)
+
+
+def _vibrating_tool(roots: Roots, model: pin.Model, frame: str) -> Objects:
+    """Record the same, and in the motions Z' the twist of the tool and the strains in units of the springs.
+
+    Raises:
+        ProgramError: the tool can move with all springs at rest, at the sample poses.
+    """
+    doubt = Doubt()
+    masses, idle, strained, whitened = _vibrating(roots, model, doubt)
+    jacobian = roots.tree.jacobian(frame)
+    for entry in product(jacobian, idle).ravel():
+        if np.nanmax(np.abs(samples(entry))) > DROPPED:
+            raise ProgramError(f"the tool of {roots.model.mechanism.name} can move with all springs at rest")
+        doubt.drop([entry])
+    twists = product(jacobian, strained)
+    return roots.noted(np.concatenate([masses, twists.ravel(), whitened.ravel()]), doubt)
+
+
+def _vibrating(roots: Roots, model: pin.Model, doubt: Doubt) -> tuple[Objects, Objects, Objects, Objects]:
+    """Return the lower triangle of Z'^T M Z', the free motions N, the motions Z, and their whitened strains."""
+    elastic, tree, root = roots.model, roots.tree, roots.springs
     unit = elastic.mechanism.length_unit
     driven, passive = elastic.spring_indices.tolist(), elastic.passive_indices.tolist()
     motions = closed_motions(tree, driven, passive, unit, doubt)
-    strained = projected(product(motions.relations, root), product(motions.rates, root), doubt)
+    relations = product(motions.relations, root)
+    count = len(motions.rates)
+    both = projected(relations, np.vstack([product(motions.rates, root), identity(len(root))]), doubt)
+    strained, whitened = both[:count], both[count:]
     moved = np.hstack([motions.idle, strained])
     moved[tree.slides] = moved[tree.slides] * unit
     inertia = _symmetric(moved, product(Masses(tree, model).matrix, moved))
     reference = sum(body.mass for body in model.inertias) * unit**2
-    for k in range(motions.idle.shape[1]):  # free motions follow such that their momentum is zero
+    first = motions.idle.shape[1]
+    for k in range(first):  # free motions follow such that their momentum is zero
         pivot, row = inertia[k, k], inertia[k].copy()
         if np.nanmax(np.abs(samples(pivot))) <= _NO_MASS * reference:
             doubt.drop([sqrt(pivot * (1.0 / reference))])
@@ -100,8 +127,8 @@ def _vibrations(roots: Roots, model: pin.Model) -> Objects:
         for i in range(k + 1, len(inertia)):
             for j in range(i, len(inertia)):
                 inertia[i, j] = inertia[j, i] = inertia[i, j] - row[i] * (row[j] * inverse)
-    first = motions.idle.shape[1]
-    return roots.noted(inertia[first:, first:][np.tril_indices(len(inertia) - first)], doubt)
+    triangle = inertia[first:, first:][np.tril_indices(len(inertia) - first)]
+    return triangle, moved[:, :first], moved[:, first:], whitened
 
 
 def _symmetric(a: Objects, b: Objects) -> Objects:
@@ -140,10 +167,40 @@ def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int 
         numbers=masses.mass_numbers(model),
     )
     entries, sound = program.with_doubt(q, threads)
-    size = math.isqrt(2 * entries.shape[1])
-    matrices = np.zeros((len(q), size, size))
+    return _triangles(entries, math.isqrt(2 * entries.shape[1])), sound
+
+
+def vibrating_tools(
+    elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int | None = None
+) -> tuple[tuple[Array, Array, Array], Mask]:
+    """Evaluate what receptances of the tool need; arguments and errors as in :func:`vibrations`.
+
+    Returns the same lower triangles, shape=(n, e, e) [s^2], and for the motions that they belong to, of strain energy
+    1/2, the twist of the tool, shape=(n, 6, e), and the strains in units of the springs, shape=(n, s, e); and the mask.
+    """
+    frame = elastic.mechanism.frame_name()
+    program = elastic_program(
+        elastic,
+        frame,
+        "vibrating_tool",
+        lambda roots: _vibrating_tool(roots, model, frame),
+        structure=tuple(masses.mass_pattern(model)),
+        numbers=masses.mass_numbers(model),
+    )
+    entries, sound = program.with_doubt(q, threads)
+    rows = 6 + len(elastic.spring_indices)
+    # e (e + 1) / 2 + rows e entries
+    size = round(math.sqrt((rows + 0.5) ** 2 + 2 * entries.shape[1]) - rows - 0.5)
+    count = size * (size + 1) // 2
+    parts = entries[:, count:].reshape(len(entries), rows, size)
+    return (_triangles(entries[:, :count], size), parts[:, :6], parts[:, 6:]), sound
+
+
+def _triangles(entries: Matrix, size: int) -> Array:
+    """Return lower triangular matrices of n rows of entries, shape=(n, size, size)."""
+    matrices = np.zeros((len(entries), size, size))
     matrices[:, *np.tril_indices(size)] = entries
-    return matrices, sound
+    return matrices
 
 
 def of_drives(

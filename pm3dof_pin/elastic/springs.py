@@ -12,6 +12,8 @@ An entry is a mapping with a `name`, a `type` and the keys of that type:
 - closure: an elastic loop closure; `closure`, its index in the list of closures, from 0; `matrix`, with a row for each
   component that the closure holds, 3 x 3 for type 3d, 6 x 6 for 6d.
 
+Any of them may declare a `loss_factor`, for vibration, and a joint's spring a viscous `damping` (N s/m, N m s/rad).
+
 `at` is a joint or frame; it and everything attached to it move when the spring deflects. Axes and matrices are in the
 axes of `at` (of the closure's first frame), in the order x, y, z, rx, ry, rz [N/m, N, N m/rad].
 """
@@ -48,10 +50,13 @@ class JointSpring:
     joint: str  #: the joint
     stiffness: float  #: k [N/m or N m/rad]
     unit: JointSpringUnit  #: "N/m" for a prismatic joint, "N m/rad" for a revolute one
+    loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
+    damping: float | None = None  #: viscous damper beside it [N s/m or N m s/rad]; None if unknown
 
     def __post_init__(self) -> None:
-        """Check the number."""
+        """Check the numbers."""
         _require_positive("stiffness", self.stiffness)
+        _require_damping(self.loss_factor, self.damping)
 
 
 @dataclass(frozen=True)
@@ -62,11 +67,13 @@ class AxialSpring:
     at: str  #: joint or frame that moves when the spring deflects, with everything attached to it
     axis: tuple[float, float, float]  #: direction in the axes of `at`, normalised
     stiffness: float  #: k [N/m]
+    loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
 
     def __post_init__(self) -> None:
         """Check the numbers."""
         object.__setattr__(self, "axis", _unit_vector(self.axis))
         _require_positive("stiffness", self.stiffness)
+        _require_damping(self.loss_factor)
 
 
 class JointLength(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -105,9 +112,11 @@ class CantileverSpring:
     #: mass of the beam [kg], contained in the body at its clamp. One element moves 33/140 of it with the tip, as in the
     #: first mode of a uniform beam (J. Rayleigh); several have half of their part at either end
     mass: float = 0.0
+    loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
 
     def __post_init__(self) -> None:
         """Check the numbers."""
+        _require_damping(self.loss_factor)
         object.__setattr__(self, "axis", _unit_vector(self.axis))
         _require_positive("bending_stiffness", self.bending_stiffness)
         _require_positive("torsional_stiffness", self.torsional_stiffness)
@@ -131,9 +140,11 @@ class BeamSpring:
     name: str  #: its name
     at: str  #: joint or frame at the tip
     matrix: Matrix  #: stiffness, shape=(6, 6) [N/m, N, N m/rad]; read-only
+    loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
 
     def __post_init__(self) -> None:
         """Check the numbers."""
+        _require_damping(self.loss_factor)
         object.__setattr__(self, "matrix", _positive_definite("matrix", self.matrix, (6,)))
 
 
@@ -146,9 +157,11 @@ class ClosureSpring:
     #: stiffness by the components that the closure holds, in the axes of its first frame, shape=(3, 3) for a 3d
     #: closure, (6, 6) for a 6d one [N/m, N, N m/rad]; read-only
     matrix: Matrix
+    loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
 
     def __post_init__(self) -> None:
         """Check the numbers."""
+        _require_damping(self.loss_factor)
         object.__setattr__(self, "matrix", _positive_definite("matrix", self.matrix, (1, 2, 3, 4, 5, 6)))
 
 
@@ -166,6 +179,8 @@ class _Joint(_Entry):
     joint: Name
     stiffness: Stiffness
     unit: JointSpringUnit
+    loss_factor: float | None = None
+    damping: float | None = None
 
 
 class _Axial(_Entry):
@@ -175,6 +190,7 @@ class _Axial(_Entry):
     axis: tuple[float, float, float]
     stiffness: Stiffness
     unit: Literal["N/m"]
+    loss_factor: float | None = None
 
 
 class _Cantilever(_Entry):
@@ -190,6 +206,7 @@ class _Cantilever(_Entry):
     elements: int = 1
     shear_stiffness: Stiffness | None = None
     mass: float = 0.0
+    loss_factor: float | None = None
 
 
 class _Beam(_Entry):
@@ -197,6 +214,7 @@ class _Beam(_Entry):
     type: Literal["beam"]
     at: Name
     matrix: list[list[float]]
+    loss_factor: float | None = None
 
 
 class _Closure(_Entry):
@@ -204,6 +222,7 @@ class _Closure(_Entry):
     type: Literal["closure"]
     closure: Annotated[int, msgspec.Meta(ge=0)]
     matrix: list[list[float]]
+    loss_factor: float | None = None
 
 
 SPRING_SCHEMAS: dict[str, type[_Entry]] = {
@@ -246,6 +265,12 @@ def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tu
 def _require_positive(name: str, value: float) -> None:
     if not STIFFNESS.least <= value <= STIFFNESS.greatest:
         raise InvalidValueError(name, value, f"a number from {STIFFNESS.least:g} to {STIFFNESS.greatest:g}")
+
+
+def _require_damping(loss_factor: float | None, damping: float | None = None) -> None:
+    for name, value in (("loss_factor", loss_factor), ("damping", damping)):
+        if value is not None and not 0.0 <= value < np.inf:
+            raise InvalidValueError(name, value, "a finite number, not negative")
 
 
 def _unit_vector(axis: ArrayLike) -> tuple[float, float, float]:

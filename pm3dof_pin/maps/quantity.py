@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen
+from pm3dof_pin.dynamics.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
@@ -105,12 +106,20 @@ class Evaluation:
         self.poses = poses
         self.batch: BatchOptions = {"on_failure": "nan", "threads": threads}
         self._elastic: dict[str, Array] = {}
+        self._dynamic_stiffness: DynamicStiffness | None = None
 
     def elastic(self, quantity: ElasticQuantity) -> Array:
         """Return a quantity of the elastic behaviour of the tool, shape=(..., *its shape); NaN where it fails."""
         if quantity.name not in self._elastic:
             self._elastic[quantity.name] = evaluate(self.mapped.elastic, self.poses, quantity, **self.batch).values
         return self._elastic[quantity.name]
+
+    @property
+    def dynamic_stiffness(self) -> DynamicStiffness:
+        """Extremes of the receptance of the tool; NaN where it fails."""
+        if self._dynamic_stiffness is None:
+            self._dynamic_stiffness = dynamic_stiffness(self.mapped.elastic, self.poses, **self.batch)
+        return self._dynamic_stiffness
 
 
 @dataclass(frozen=True)

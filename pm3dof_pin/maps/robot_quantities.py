@@ -171,6 +171,30 @@ ROBOT_QUANTITIES = (
         "first_frequency", lambda evaluation: _frequencies(evaluation, 1)[..., 0], "Hz", "lowest natural frequency"
     ),
     Quantity(
+        "dynamic_stiffness_minimum",
+        lambda evaluation: evaluation.dynamic_stiffness.minimum,
+        "N/m (x, y, z), N m/rad (rx, ry, rz)",
+        "least dynamic stiffness along each axis, over all frequencies",
+        (_AXIS,),
+        has_drives_and_tool,
+    ),
+    Quantity(
+        "critical_frequency",
+        lambda evaluation: evaluation.dynamic_stiffness.critical_frequency,
+        "Hz",
+        "frequency of the least dynamic stiffness along each axis",
+        (_AXIS,),
+        has_drives_and_tool,
+    ),
+    Quantity(
+        "negative_real_part",
+        lambda evaluation: evaluation.dynamic_stiffness.negative_real_part,
+        "m/N (x, y, z), rad/(N m) (rx, ry, rz)",
+        "most negative real part of the receptance along each axis, which limits the depth of cut",
+        (_AXIS,),
+        has_drives_and_tool,
+    ),
+    Quantity(
         "holding_forces",
         _holding_forces,
         _force_unit,

@@ -167,3 +167,49 @@ def test_named_configurations_are_those_of_the_srdf(tripod: Tripod) -> None:
     angle = np.degrees(q[model.joints[model.getJointId("platform_x_joint")].idx_q])
     by_pose = _answer("statics", repr(float(angle)), "0", repr(float(height)))["force_N"]
     np.testing.assert_allclose(_answer("statics", "--configuration", "tilt_x")["force_N"], by_pose, rtol=1e-9)
+
+
+def test_receptance_of_a_pose_and_of_a_file(tmp_path: Path) -> None:
+    at = _answer("receptance", "10", "-15", "0.5", "--folder", str(tmp_path / "curves"))
+    modes = _answer("modes", "10", "-15", "0.5")["frequency_Hz"]
+    np.testing.assert_allclose(at["natural_frequency_Hz"][:6], modes, rtol=1e-9)
+    felt = _answer("stiffness", "10", "-15", "0.5")["felt"]
+    static = [pair["static_stiffness"] for pair in at["receptances"]]
+    np.testing.assert_allclose(static, list(felt.values()), rtol=1e-9)
+    assert {Path(file).name for file in at["files"]} == {"receptance.csv", "receptance.png"}
+    (tmp_path / "poses.csv").write_text("theta_x_deg,theta_y_deg,z_e_m\n10,-15,0.5\n0,0,0.49\n")
+    columns = _answer("receptance", "--poses", str(tmp_path / "poses.csv"), "--cutting", "kc=6e8,teeth=3")["columns"]
+    least = [pair["dynamic_stiffness_minimum"] for pair in at["receptances"]]
+    assert columns["dynamic_stiffness_x_N_per_m"][0] == pytest.approx(least[0], rel=1e-3)
+    cut = _answer("receptance", "10", "-15", "0.5", "--cutting", "kc=6e8,teeth=3,ap=1e-5")["cutting"]
+    assert cut["depth_limit_m"] == pytest.approx(columns["depth_limit_m"][0], rel=1e-9)
+    assert all(cut["stable_at_speed"])
+
+
+def test_receptance_between_points_of_other_robots() -> None:
+    """Maxwell and Betti: the same either way."""
+    there, back = _answer(
+        *("receptance", "--robot", "hexapod", "--from", "tool:x", "--from", "strut1_joint"),
+        *("--to", "tool:x", "--to", "strut1_joint", "--count", "5"),
+    )["receptances"][1:3]
+    np.testing.assert_allclose(there["real"], back["real"], rtol=1e-9)
+    floor = _answer("receptance", "--robot", "linear_delta", "--from", "base:z", "--count", "5")["receptances"][0]
+    assert (floor["to"], floor["unit"]) == ("tool:z", "m/(m/s^2)")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--cutting", "teeth=3"], "kc is missing"),
+        (["--cutting", "kc=6e8,depth=2"], "depth=2"),
+        (["--cutting", "kc=6e8,plane=zz"], "one of xy"),
+        (["--speeds", "100", "10"], "increasing"),
+        (["--servo-bandwidth", "passive=3"], "passive"),
+        (["--from", "nothing:x"], "nothing"),
+        (["--loss-factor", "-1"], "not negative"),
+    ],
+)
+def test_wrong_receptances_are_refused(arguments: list[str], message: str) -> None:
+    result = CliRunner().invoke(app, ["receptance", *arguments])
+    assert result.exit_code in (1, 2)
+    assert message in result.stderr + str(result.exception)

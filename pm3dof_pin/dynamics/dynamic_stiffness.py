@@ -1,0 +1,217 @@
+"""The least dynamic stiffness of the tool at many poses, its frequency, and the most negative real part.
+
+Frequencies are chosen by pose: at rest, and around each of the lowest natural modes in multiples of its damping, where
+the extremes of lightly damped modes lie; a parabola through the best three refines them. A depth of cut that keeps the
+force in one direction is stable at every speed below -1 / (2 K_s min Re G), K_s being the cutting force per depth and
+chip thickness (J. Tlusty and M. Polacek, 1963).
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import require_kind
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
+from pm3dof_pin.dynamics.damping import Damping
+from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
+from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.tolerances import MASSLESS
+from pm3dof_pin.typing import Array, Mask, Matrix, Vector
+
+_PROGRAM_FROM = 200  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
+_MODES = 12  # lowest natural modes around which frequencies are chosen
+_MIN_RATIO = 1e-3  # of damping, by which frequencies of undamped modes are spread
+_SPREAD = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 2.0, 4.0])  # dampings from a natural frequency
+_CHUNK = 200  # poses solved at once
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicStiffness:
+    """Extremes over frequency of the receptance of the tool in each direction x, y, z, rx, ry, rz by itself."""
+
+    minimum: Array  #: least 1 / |G|, shape=(..., 6) [N/m, N m/rad]
+    critical_frequency: Array  #: the frequency of it, shape=(..., 6) [Hz]
+    negative_real_part: Array  #: least Re G, negative unless overdamped, shape=(..., 6) [m/N, rad/(N m)]
+
+
+def dynamic_stiffness(
+    model: ElasticModel,
+    poses: Poses | ArrayLike,
+    *,
+    damping: Damping | None = None,
+    payloads: Payloads | None = None,
+    **options: Unpack[BatchOptions],
+) -> DynamicStiffness:
+    """Compute the least dynamic stiffness of the tool at many poses.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.dynamics.dynamic_stiffness import dynamic_stiffness
+        >>> model = pm.ElasticModel.load("pm3dof")
+        >>> least = dynamic_stiffness(model, model.rigid.home.q)
+        >>> print(f"{least.minimum[0]:.3g} N/m in x at {least.critical_frequency[0]:.1f} Hz")
+        7.33e+04 N/m in x at 275.5 Hz
+
+    Args:
+        model: the mechanism with its springs.
+        poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
+        damping: of the springs; by default those of the description, or `LOSS_FACTOR`.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+        options: see :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
+
+    Raises:
+        FreeDirectionError: the tool can move with all springs at rest.
+        PM3DofError: as :func:`~pm3dof_pin.dynamics.receptance.vibrating_system`.
+    """
+    require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
+    model.mechanism.require_possible_inertias()
+    damping = damping or Damping()
+    tree = model_with_payloads(model.mechanism, payloads)
+
+    def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
+        from pm3dof_pin.dynamics.traced import vibrating_tools
+
+        tools, sound = vibrating_tools(model, tree, q, threads)
+        return _of_batch(model, damping, *(part[sound] for part in tools), sound=sound, threads=threads), sound
+
+    def reference(q: Vector) -> Array:
+        return _extremes_of(vibrating_system(model, q, damping=damping, payloads=payloads))
+
+    values = evaluate_at(
+        model.rigid,
+        poses,
+        "dynamic stiffness",
+        (3, len(TOOL_COMPONENTS)),
+        program=program,
+        reference=reference,
+        program_from=_PROGRAM_FROM,
+        **options,
+    ).values
+    return DynamicStiffness(values[..., 0, :], values[..., 1, :], values[..., 2, :])
+
+
+def _extremes_of(system: VibratingSystem) -> Array:
+    """Return the extremes of one system, shape=(3, 6)."""
+    tool = system.rows([f"tool:{component}" for component in TOOL_COMPONENTS])
+    system.receptance([0.0], tool, tool)  # raises if the tool is free
+    parts = (system.inverse_squares, tool @ system.shapes, system.structural, system.viscous)
+    extremes: Array = _extremes(*(part[None] for part in parts))[0]
+    return extremes
+
+
+def _of_batch(
+    model: ElasticModel,
+    damping: Damping,
+    masses: Array,
+    twists: Array,
+    whitened: Array,
+    *,
+    sound: Mask,
+    threads: int | None,
+) -> Matrix:
+    """Return the extremes of n systems, shape=(m, 18), NaN where not sound.
+
+    Systems are given in any basis of strain energy 1/2: masses, shape=(n, e, e), and in each motion the twist of the
+    tool, shape=(n, 6, e), and the strains in units of the springs, shape=(n, s, e).
+    """
+    losses, times = damping.of_springs(model)
+
+    def chunk(start: int) -> Array:
+        rows = slice(start, start + _CHUNK)
+        inverse_squares, directions = np.linalg.eigh(masses[rows])
+        inverse_squares, directions = inverse_squares[:, ::-1], directions[..., ::-1]
+        inverse_squares = np.where(inverse_squares > MASSLESS * inverse_squares[:, :1], inverse_squares, 0.0)
+        strains = whitened[rows] @ directions
+        transposed = strains.transpose(0, 2, 1)
+        structural, viscous = (transposed * losses) @ strains, (transposed * times) @ strains
+        if damping.ratio is not None:
+            structural = np.zeros_like(structural)
+            viscous = 2.0 * damping.ratio * np.sqrt(inverse_squares)[..., None] * np.eye(inverse_squares.shape[1])
+        return _extremes(inverse_squares, twists[rows] @ directions, structural, viscous)
+
+    values = np.full((len(sound), 3 * len(TOOL_COMPONENTS)), np.nan)
+    with ThreadPoolExecutor(threads) as pool:  # the linear algebra of NumPy runs beside other threads
+        found = list(pool.map(chunk, range(0, len(masses), _CHUNK)))
+    if found:
+        values[sound] = np.concatenate(found).reshape(-1, values.shape[1])
+    return values
+
+
+def _extremes(inverse_squares: Array, twists: Array, structural: Array, viscous: Array) -> Array:
+    """Return the extremes of n systems in their modes, shape=(n, 3, 6)."""
+    omegas = _frequencies(inverse_squares, structural, viscous)
+    direct = _direct_receptances(omegas, inverse_squares, twists, structural, viscous)
+    greatest, at = _peaks(omegas, np.abs(direct))
+    lowest, _ = _peaks(omegas, -direct.real)
+    return np.stack([1.0 / greatest, at / (2.0 * np.pi), np.minimum(-lowest, 0.0)], axis=1)
+
+
+def _frequencies(inverse_squares: Array, structural: Array, viscous: Array) -> Array:
+    """Return angular frequencies at which to look, ascending, shape=(n, f) [rad/s]."""
+    with np.errstate(divide="ignore"):
+        natural = 1.0 / np.sqrt(inverse_squares[:, :_MODES])
+    natural = np.where(np.isfinite(natural), natural, 0.0)
+    count = natural.shape[1]
+    losses = np.einsum("nrr->nr", structural)[:, :count]
+    ratios = 0.5 * (losses + natural * np.einsum("nrr->nr", viscous)[:, :count])
+    ratios = np.clip(ratios, _MIN_RATIO, 0.2)
+    steps = np.concatenate([-_SPREAD[:0:-1], _SPREAD])
+    around = natural[:, :, None] * (1.0 + ratios[:, :, None] * steps)
+    omegas = np.concatenate([np.zeros((len(natural), 1)), around.reshape(len(natural), -1)], axis=1)
+    return np.sort(omegas, axis=1)
+
+
+def _direct_receptances(
+    omegas: Array, inverse_squares: Array, twists: Array, structural: Array, viscous: Array
+) -> Array:
+    """Return G of each direction with itself, shape=(n, f, 6), complex, by partial fractions; the first is at rest.
+
+    Without dampers, D = k (1 - omega^2 A) with k = 1 + i H. With dampers, (x, omega x) satisfies a linear equation of
+    twice the size in omega. The eigenvalues of A are the poles.
+    """
+    size = inverse_squares.shape[1]
+    flexible = np.eye(size) + 1j * structural
+    loads = np.linalg.solve(flexible, twists.transpose(0, 2, 1).astype(complex))
+    inertia = np.linalg.solve(flexible, inverse_squares[:, :, None] * np.eye(size, dtype=complex))
+    if viscous.any():
+        damper = np.linalg.solve(flexible, 1j * viscous)
+        matrix = np.zeros((len(inertia), 2 * size, 2 * size), dtype=complex)
+        matrix[:, :size, :size], matrix[:, :size, size:] = -damper, inertia
+        matrix[:, size:, :size] = np.eye(size)
+        variable = omegas
+        loads = np.concatenate([loads, np.zeros_like(loads)], axis=1)
+    else:
+        matrix, variable = inertia, omegas**2
+    values, vectors = np.linalg.eig(matrix)
+    seen = twists @ vectors[:, :size]
+    residues = seen * np.linalg.solve(vectors, loads).transpose(0, 2, 1)
+    fractions = 1.0 / (1.0 - variable[:, :, None] * values[:, None, :])
+    direct: Array = fractions @ residues.transpose(0, 2, 1)
+    direct[:, 0] = (twists**2).sum(axis=2)
+    return direct
+
+
+def _peaks(omegas: Array, heights: Array) -> tuple[Array, Array]:
+    """Return the greatest heights over frequency and where, shape=(n, 6), by a parabola through the best three."""
+    best = heights.argmax(axis=1)
+    middle = np.clip(best, 1, heights.shape[1] - 2)
+    axes = np.arange(heights.shape[2])
+    rows = np.arange(len(heights))[:, None]
+    (h0, h1, h2) = (heights[rows, middle + step, axes] for step in (-1, 0, 1))
+    (w0, w1, w2) = (omegas[rows, middle + step] for step in (-1, 0, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rise, fall = (h1 - h0) / (w1 - w0), (h2 - h1) / (w2 - w1)
+        bend = (fall - rise) / (w2 - w0)
+        top = 0.5 * (w0 + w1) - 0.5 * rise / bend
+        height = h1 + (top - w1) * (rise + bend * (top - w0))
+    inside = (best == middle) & (bend < 0.0) & (top >= w0) & (top <= w2)
+    at_best = heights[rows, best, axes]
+    return np.where(inside, height, at_best), np.where(inside, top, omegas[rows, best])

@@ -1,0 +1,109 @@
+"""Stability lobes against closed forms and simulation in time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.dynamics.damping import Damping
+from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
+from pm3dof_pin.dynamics.stability_lobes import Cutting, stability_lobes
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.springs import JointSpring
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
+
+MASSES, STIFFNESS, RATIO = (0.4, 0.33), (5.6e6, 5.6e6), 0.035
+
+
+def _slides(masses: tuple[float, float], stiffness: tuple[float, float], ratio: float) -> VibratingSystem:
+    """A tool on two crossed slides; of the first, only what both carry is a mass."""
+    model = pin.Model()
+    model.name = "slides"
+    first = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
+    second = model.addJoint(first, pin.JointModelPY(), pin.SE3.Identity(), "y")
+    inertia = 1e-4 * np.eye(3)
+    model.appendBodyToJoint(first, pin.Inertia(masses[0] - masses[1], np.zeros(3), inertia), pin.SE3.Identity())
+    model.appendBodyToJoint(second, pin.Inertia(masses[1], np.zeros(3), inertia), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", second, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    robot = Robot(model, [], actuated_joints=["x", "y"], tool_frame="tip")
+    springs = [JointSpring(f"k{n}", n, k, "N/m") for n, k in zip("xy", stiffness, strict=True)]
+    return vibrating_system(ElasticModel(robot, springs), np.zeros(2), damping=Damping(ratio=ratio))
+
+
+def _chatters(cutting: Cutting, depth: float, speed: float) -> bool:
+    """Simulate a cut in time, teeth one by one, and say whether a disturbance grows; semi-implicit Euler steps."""
+    mass, k = np.array(MASSES), np.array(STIFFNESS)
+    c = 2.0 * RATIO * np.sqrt(mass * k)
+    teeth, tooth = max(cutting.teeth, 1), 1.0 / (speed * max(cutting.teeth, 1))
+    steps = max(300, int(tooth / 1e-5))
+    dt, passes = tooth / steps, 50 if tooth > 2e-3 else 100
+    wave = np.zeros((steps, 2))
+    u, v = np.array([1e-6, -1e-6]), np.zeros(2)
+    swept = math.acos(1.0 - 2.0 * cutting.ae)
+    entry, leave = (0.0, swept) if cutting.direction == "up" else (math.pi - swept, math.pi)
+    sizes = []
+    for _ in range(passes):
+        greatest = 0.0
+        for i in range(steps):
+            change, force = u - wave[i], np.zeros(2)
+            wave[i] = u
+            if cutting.teeth:
+                for j in range(teeth):
+                    phi = (2.0 * math.pi / teeth * (i / steps + j)) % (2.0 * math.pi)
+                    if entry <= phi <= leave:
+                        s, co = math.sin(phi), math.cos(phi)
+                        tangential = cutting.kc * depth * (change[0] * s + change[1] * co)
+                        radial = cutting.kr * tangential
+                        force += (-tangential * co - radial * s, tangential * s - radial * co)
+            else:
+                force[:] = -cutting.kc * depth * change[0] * np.array([cutting.kr, 1.0])
+            v = v + dt * (force - c * v - k * u) / mass
+            u = u + dt * v
+            greatest = max(greatest, abs(u[0]), abs(u[1]))
+        sizes.append(greatest)
+        if greatest > 1.0 or greatest < 1e-12:
+            break
+    return sizes[-1] > sizes[len(sizes) // 2]
+
+
+def test_turning_has_the_depth_limit_of_one_mode() -> None:
+    """Twice k zeta (1 + zeta) over the cutting stiffness (J. Tlusty, 1963)."""
+    system = _slides((0.4, 0.1), (5.6e6, 1e12), RATIO)
+    found = stability_lobes(system, Cutting(kc=1e9, kr=0.5), [50.0])
+    assert found.depth_limit == pytest.approx(2.0 * 5.6e6 * RATIO * (1.0 + RATIO) / (0.5 * 1e9), rel=1e-4)
+    natural = math.sqrt(5.6e6 / 0.4) / (2.0 * math.pi)
+    assert found.chatter_frequency == pytest.approx(natural * math.sqrt(1.0 + 2.0 * RATIO), rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    "cutting",
+    [Cutting(kc=6e8, kr=0.3), Cutting(kc=6e8, kr=0.3, teeth=3, ae=0.5, direction="up"), Cutting(6e8, 0.3, 4, 1.0)],
+    ids=["turning", "half immersion", "slot"],
+)
+def test_simulation_in_time_chatters_above_the_lobes_only(cutting: Cutting) -> None:
+    speeds = np.array([95.0, 130.0, 160.0, 210.0]) * 3.0 / max(cutting.teeth, 1)
+    found = stability_lobes(_slides(MASSES, STIFFNESS, RATIO), cutting, speeds)
+    assert (found.depths >= found.depth_limit * (1.0 - 1e-3)).all()
+    for speed, depth in zip(speeds.tolist(), found.depths.tolist(), strict=True):
+        assert np.isfinite(depth)
+        assert not _chatters(cutting, 0.9 * depth, speed), f"{speed} 1/s"
+        assert _chatters(cutting, 1.12 * depth, speed), f"{speed} 1/s"
+
+
+def test_a_depth_is_judged_and_slow_speeds_have_the_limit_of_all() -> None:
+    system = _slides(MASSES, STIFFNESS, RATIO)
+    limit = stability_lobes(system, Cutting(kc=6e8, teeth=3), [0.01]).depth_limit
+    judged = stability_lobes(system, Cutting(kc=6e8, teeth=3, ap=0.99 * limit), [0.01, 100.0, 300.0])
+    assert judged.is_stable is not None
+    assert judged.is_stable.all()
+    assert judged.depths[0] == limit
+
+
+@pytest.mark.parametrize("wrong", [{"kc": 0.0}, {"kc": 1e9, "ae": 1.2}, {"kc": 1e9, "ap": -1.0}, {"kc": 1e9, "kr": -1}])
+def test_impossible_cuts_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InvalidValueError, match="cutting"):
+        Cutting(**wrong)  # type: ignore[arg-type]
