@@ -28,10 +28,10 @@ IGNORE = "ignore"
 """In place of a column's name: the column is not used."""
 
 _SIMPLE = re.compile(
-    r"x|y|z|q[wxyz]|p[xyz]|c[xyz]|r[xyz]|euler[123]|(from_|approach_)?u\d+|distance|sphere|time"
-    r"|sigma_(x|y|z|rx|ry|rz|distance)"
+    r"x|y|z|q[wxyz]|p[xyz]|c[xyz]|r[xyz]|euler[123]|(from_|approach_)?u\d+|distance|height|sphere|plane|line|socket|camera|time"
+    r"|(image|focal|centre)_[uv]_px|sigma_image_px|sigma_(x|y|z|rx|ry|rz|distance|touch)"
 )
-_WITHOUT_UNIT = re.compile(r"q[wxyz]|sphere|time|approach_u\d+")
+_WITHOUT_UNIT = re.compile(r".*_px|q[wxyz]|sphere|plane|line|socket|camera|time|approach_u\d+")
 _UNITS = {
     "m": ("m", "meter", "meters", "metre", "metres"),
     "mm": ("mm", "millimeter", "millimeters", "millimetre", "millimetres"),

@@ -18,6 +18,7 @@ from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.pose_file import UNIT_QUATERNION
 from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.measuring.angles import angle_columns, orders_of, quaternions_of_angles, replace_angles
+from pm3dof_pin.measuring.datum import DATUM_KINDS, Datum
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO, Instrument
 from pm3dof_pin.measuring.measurements import Measurements, joint_coordinates
@@ -33,6 +34,9 @@ _POINT = ("px_m", "py_m", "pz_m")
 _SIGMAS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 _DISTANCE, _DISTANCE_SIGMA = "distance_m", "sigma_distance_m"
 _ORIGIN = ("cx_m", "cy_m", "cz_m")
+_HEIGHT, _TOUCH_SIGMA, _IMAGE_SIGMA = "height_m", "sigma_touch_m", "sigma_image_px"
+_IMAGE = ("image_u_px", "image_v_px", "focal_u_px", "focal_v_px", "centre_u_px", "centre_v_px")
+_PIXEL_SIGMA = 0.1  # noise of an image coordinate, if the file says nothing
 _SPHERE, _TIME, _ENCODER = "sphere", "time_s", "encoder_"
 
 _SAME = 1e-9
@@ -100,11 +104,36 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
         columns |= zip(start_columns(robot), starts.T, strict=True)
         if spheres is not None:
             columns |= {_SPHERE: np.where(on_sphere, spheres, np.nan)}
+    columns |= _datum_columns(measurements, columns)
     if measurements.times is not None:
         columns |= {_TIME: measurements.times}
     if measurements.approaches is not None:
         columns |= zip(_approach_columns(robot), measurements.approaches.T, strict=True)
     return write_text_atomically(path, _columns_as_text(columns | measurements.conditions))
+
+
+def _datum_columns(measurements: Measurements, columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the columns of rows measured against datums, in which the tool's own columns are not measured."""
+    found: dict[str, Array] = {}
+    if not measurements.datums:
+        return found
+    on, nothing = measurements.on_datums, np.full(len(measurements), np.nan)
+    found |= {name: np.where(on, np.inf, columns[name]) for name in _SIGMAS[:3]}
+    found |= {name: nothing.copy() for name in dict.fromkeys(datum.kind for datum in measurements.datums)}
+    for datum in measurements.datums:
+        rows = datum.rows
+        found[datum.kind][rows] = datum.number
+        if datum.kind == "camera":
+            # focal length 1: image coordinates as tangents
+            sigma = np.where(rows, measurements.sigmas[:, 0] / datum.scales, np.nan)
+            numbers = [*datum.numbers.T, *np.tile([[1.0], [1.0], [0.0], [0.0]], len(rows)), sigma]
+        else:
+            height = datum.values[:, 0] if datum.kind == "plane" else nothing
+            numbers = [height, measurements.sigmas[:, 0]]
+        names = (*_IMAGE, _IMAGE_SIGMA) if datum.kind == "camera" else (_HEIGHT, _TOUCH_SIGMA)
+        for name, column in zip(names, numbers, strict=True):
+            found[name] = np.where(rows, column, found.get(name, nothing))
+    return found
 
 
 def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None = None) -> Path:
@@ -243,12 +272,13 @@ class _Reader:
         self._check_header()
         self._seen, whole = self._flags_of_measured()
         distances = (_DISTANCE, _DISTANCE_SIGMA, _SPHERE, *_ORIGIN, *self._start_columns)
+        datums = (*DATUM_KINDS, _HEIGHT, _TOUCH_SIGMA, _IMAGE_SIGMA, *_IMAGE)
         encoders = (f"{sigma}{name}" for sigma in ("", "sigma_") for name in self._encoders)
-        may_be_empty = {*_POSITION, *_QUATERNION, *_SIGMAS, *distances, *encoders, *self._unused}
+        may_be_empty = {*_POSITION, *_QUATERNION, *_SIGMAS, *distances, *datums, *encoders, *self._unused}
         needed = [name for name in self._table.columns if name not in may_be_empty]
         whole &= np.isfinite(self._table.matrix(needed)).all(axis=1)
         self._table.keep(whole)
-        self._seen = self._seen[whole]
+        self._seen, self._on_datum = self._seen[whole], self._flags_of_datums()
 
     def measurements(self, instrument: Instrument) -> Measurements:
         own_frame, table = self._own_frame, self._table
@@ -297,6 +327,8 @@ class _Reader:
         )
         if self._joints:
             found = found.with_encoders(self._joints, *self._readings(nominal, instrument))
+        if self._on_datum.any():
+            found = self._with_datums(found, expected, instrument)
         return self._with_distances(found, expected, instrument) if self._seen[:, 6].any() else found
 
     def _refuse(self, problem: str, flags: Any = None) -> NoReturn:
@@ -343,13 +375,19 @@ class _Reader:
         beside = (*_POINT, *_SIGMAS[:3]) if positions else (*_QUATERNION, *_SIGMAS[3:])
         known = {*self._command_columns, *positions, *beside, _TIME, *approaches}
         alone = all(name in known or is_condition(name) for name in header)
-        if not (_DISTANCE in header or self._encoders or (alone and (positions or _QUATERNION[0] in header))):
+        if not (
+            {_DISTANCE, *DATUM_KINDS} & {*header}
+            or self._encoders
+            or (alone and (positions or _QUATERNION[0] in header))
+        ):
             positions = _POSITION
         expected = [*self._command_columns, *positions]
         for group in (
             (_DISTANCE,),
             (_DISTANCE_SIGMA,),
             (_SPHERE,),
+            *((name,) for name in (*DATUM_KINDS, _HEIGHT, _TOUCH_SIGMA, _IMAGE_SIGMA)),
+            _IMAGE,
             (_TIME,),
             _ORIGIN,
             _QUATERNION,
@@ -397,7 +435,12 @@ class _Reader:
             if name in table:
                 seen[:, place] = ~np.isnan(table[name]) & ~np.isposinf(table.get(f"sigma_{name}", 0.0))
                 broken |= seen[:, place] & ~np.isfinite(table[name])
-        return seen, seen.any(axis=1) & ~broken
+        return seen, (seen.any(axis=1) | self._flags_of_datums()) & ~broken
+
+    def _flags_of_datums(self) -> Mask:
+        """Tell which rows are measured against a datum, shape=(n,)."""
+        numbers = [self._table[kind] for kind in DATUM_KINDS if kind in self._table]
+        return np.asarray(np.any([np.zeros(len(self._table), dtype=bool), *map(np.isfinite, numbers)], axis=0))
 
     def _warn_of_copies(self, points: Array) -> None:
         """Warn of rows that repeat others, entirely or in everything measured at other commands."""
@@ -552,6 +595,44 @@ class _Reader:
                     "another unit, zero, direction or joint?"
                 )
         return readings, sigmas
+
+    def _with_datums(self, found: Measurements, expected: Array, instrument: Instrument) -> Measurements:
+        """Return measurements with planes, lines, sockets and cameras, placed by the machine as described."""
+        table, datums, sigmas = self._table, [], found.sigmas.copy()
+        both = self._on_datum & self._seen.any(axis=1)
+        if both.any():
+            self._refuse("a row has a datum and other measurements, expected a row for each", both)
+        for kind, entry in DATUM_KINDS.items():
+            numbers = table.get(kind, np.nan)
+            of_kind = np.isfinite(numbers)
+            if (bad := of_kind & ((numbers < 0.0) | (numbers != np.round(numbers)))).any():
+                self._refuse(f"{kind} is a number of datums, expected 1, 2 ...", bad)
+            noise = table.get(_TOUCH_SIGMA, instrument.position_sigma)
+            observed = np.zeros((len(table), entry.dimension))
+            if kind == "plane":
+                observed[:, 0] = np.nan_to_num(table.get(_HEIGHT, 0.0))
+            if kind == "camera" and of_kind.any():
+                table.require(_IMAGE, table.header_line)
+                u, v, focal_u, focal_v, centre_u, centre_v = table.matrix(_IMAGE).T
+                observed = np.column_stack([(u - centre_u) / focal_u, (v - centre_v) / focal_v])
+                noise = table.get(_IMAGE_SIGMA, _PIXEL_SIGMA) / np.abs(focal_u)
+                if (bad := of_kind & ~np.isfinite(observed).all(axis=1)).any():
+                    self._refuse(f"{','.join(_IMAGE)} are incomplete", bad)
+            if (bad := of_kind & ~(noise > 0.0)).any():
+                self._refuse(f"{_IMAGE_SIGMA if kind == 'camera' else _TOUCH_SIGMA} is not positive", bad)
+            for number in np.unique(numbers[of_kind]):
+                own = of_kind & (numbers == number)
+                try:
+                    datum = Datum.fitted(kind, int(number), expected, np.where(own[:, None], observed, np.nan))
+                except InvalidValueError as error:
+                    raise MeasurementError(table.path, str(error), table.lines_where(own)) from error
+                datums.append(datum)
+                sigmas[own] = np.inf
+                sigmas[own, : entry.dimension] = (noise * datum.scales)[own, None]
+                off = np.linalg.norm(datum.residuals(expected), axis=1)[own]
+                if np.median(off) > (limit := _FAR_OFF * float(np.median(np.linalg.norm(expected, axis=1)))):
+                    table.warn(f"{kind} {int(number)} is {np.median(off):.3g} m (median), more than {limit:.2g} m, off")
+        return replace(found, sigmas=sigmas, datums=tuple(datums))
 
     def _with_distances(self, found: Measurements, expected: Array, instrument: Instrument) -> Measurements:
         """Return measurements with their distances; the poses where some start become rows without measurements."""

@@ -20,6 +20,7 @@ from pm3dof_pin.errors.pose_error import (
 )
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.measuring.datum import Datum
 from pm3dof_pin.measuring.instrument import Instrument, Measured
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register
 from pm3dof_pin.typing import Array, Indices, Mask
@@ -67,6 +68,8 @@ class Measurements:
         joints: passive joints with an encoder and the unit of each, "m" or "rad"; their noise follows that of the tool
             in `sigmas`.
         readings: readings of these encoders, shape=(n, joints) [m, rad]; None if there are none.
+        datums: planes, lines, sockets and cameras of unknown placement, with what was measured against them. Such a row
+            has only that, as its first columns.
     """
 
     commands: Array
@@ -88,6 +91,7 @@ class Measurements:
     spheres: Indices | None = None
     joints: dict[str, str] = field(default_factory=dict)
     readings: Array | None = None
+    datums: tuple[Datum, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes, finite numbers and positive noise."""
@@ -136,6 +140,7 @@ class Measurements:
             **self._distances_of(chosen),
             conditions={name: values[chosen] for name, values in self.conditions.items()},
             lines=tuple(self.lines[k] for k in chosen),
+            datums=tuple(datum[chosen] for datum in self.datums),
         )
 
     def _distances_of(self, chosen: Indices) -> dict[str, Any]:
@@ -260,7 +265,19 @@ class Measurements:
             far, begun = np.isfinite(self.distances), self.partners >= 0
             starts = np.where(begun, self.pose_numbers[self.partners], -1)
             keys += [far[:, None], np.where((far & ~begun)[:, None], self.origins, 0.0), starts[:, None]]
+        keys += [datum.rows[:, None] for datum in self.datums]
         return _numbered(np.hstack(keys).astype(float))
+
+    @property
+    def on_datums(self) -> Mask:
+        """Mask of the rows measured against a datum of unknown placement, shape=(n,)."""
+        return np.asarray(np.any([np.zeros(len(self), dtype=bool), *(datum.rows for datum in self.datums)], axis=0))
+
+    def with_datum(self, datum: Datum) -> Measurements:
+        """Return the measurements with a datum at another placement, in place of the one of its kind and number."""
+        same = (datum.kind, datum.number)
+        others = (datum if (each.kind, each.number) == same else each for each in self.datums)
+        return replace(self, datums=tuple(others))
 
     def in_moved_base(self, twist: Array) -> Measurements:
         """Return the measurements in the axes of a base at [translation; rotation vector] in this one, shape=(6,).
@@ -324,8 +341,10 @@ class Measurements:
         offsets = self._offsets(poses)
         moved = motions[:, :3] + np.einsum("nij,nj->ni", turns, offsets) - offsets
         readings, joints = self.readings, motions[:, 6:]
+        points = self.points_on(poses) if self.datums else offsets
         return replace(
             self,
+            datums=tuple(datum.without(points, moved) for datum in self.datums),
             distances=None if self.distances is None else self.distances - self._along_distances(poses, moved),
             readings=readings - joints if readings is not None and joints.size else readings,
             positions=self.positions - moved,
@@ -351,6 +370,11 @@ class Measurements:
             size = np.linalg.norm(self._spans(poses), axis=1)
             off = np.column_stack([self.distances - size, np.zeros((len(size), 2))])
             positions = np.where(np.isnan(self.distances)[:, None], positions, off)
+        points = self.points_on(poses) if self.datums else positions
+        for datum in self.datums:
+            off = datum.residuals(points)
+            padded = np.pad(off, ((0, 0), (0, 3 - off.shape[1])))
+            positions = np.where(datum.rows[:, None], padded, positions)
         parts = [positions]
         if self.rotations is not None:
             seen = np.tile(np.eye(4), (len(poses), 1, 1))
@@ -378,6 +402,11 @@ class Measurements:
             rows = np.zeros_like(points)
             rows[:, 0] = self._along_distances(poses, points)
             points = np.where(np.isnan(self.distances)[:, None, None], points, rows)
+        places = self.points_on(poses) if self.datums else offsets
+        for datum in self.datums:
+            rows = datum.directions(places) @ points
+            padded = np.pad(rows, ((0, 0), (0, 3 - rows.shape[1]), (0, 0)))
+            points = np.where(datum.rows[:, None, None], padded, points)
         parts = [points]
         if self.rotations is not None:
             parts.append(rotation_vector_rates(self.rotations @ np.swapaxes(poses.rotations, 1, 2)) @ angular)

@@ -12,6 +12,8 @@ frame         the instrument has a frame of its own                  6: the base
 targets       points off the tool point, known to `target_sigma`     3 for each, in the tool's axes
 tool point    the tool point itself, known to `tool_point_sigma`     3, in the tool's axes
 spheres       surfaces of spheres were touched                       3 for each, its centre, known only from data
+datums        rows measured against planes, lines, sockets,  3 to 6 for each, its placement, known only from data
+              cameras of unknown placement
 drift         rows have times                                        a motion of the base and of each drive's zero, [m]
                                                                      and [rad] from the first row to the last
 hysteresis    rows have approaches                                   for each drive, from one direction to the other
@@ -29,6 +31,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.measuring.datum import Datum
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO
 from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.typing import Array, Indices
@@ -67,7 +70,8 @@ class _InstrumentFrame(NuisancePart):
     """Correction of the registration: a twist in base axes that moves everything."""
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        return _rigid_motions(poses)
+        # datums are placed relative to the base
+        return _rigid_motions(poses) * ~measurements.on_datums[:, None, None]
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
         return measurements.in_moved_base(values) if values.any() else measurements
@@ -117,6 +121,27 @@ class _SphereCentres(NuisancePart):
         if measurements.spheres is None:
             return np.zeros((len(measurements), len(self.numbers)))
         return np.asarray(measurements.spheres[:, None] == self.numbers, float)
+
+
+@dataclass(frozen=True, eq=False)
+class _DatumPlacement(NuisancePart):
+    """Correction of a datum's placement, relative to its fit by the machine as described."""
+
+    number: int = field(kw_only=True)  #: of the datum among those of its kind
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        motions = np.zeros((len(measurements), 6, len(self.names)))
+        for datum in self._own(measurements):
+            motions[:, :3] = datum.apparent_motions(measurements.points_on(poses))
+        return motions
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        for datum in self._own(measurements):
+            measurements = measurements.with_datum(datum.moved(values))
+        return measurements
+
+    def _own(self, measurements: Measurements) -> list[Datum]:
+        return [datum for datum in measurements.datums if (datum.kind, datum.number) == (self.kind, self.number)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +203,10 @@ class Nuisances:
             numbers = np.setdiff1d(measurements.spheres, [-1])
             named = _positions([f"sphere{k}" for k in numbers], _FRAME_SCALE["m"])
             parts.append(_SphereCentres("spheres", *named, _FRAME_SIGMA, numbers=numbers))
+        for datum in measurements.datums:
+            units = tuple("rad" if ".r" in name else "m" for name in datum.names)
+            scales = np.array([_FRAME_SCALE[unit] for unit in units])
+            parts.append(_DatumPlacement(datum.kind, datum.names, units, scales, _FRAME_SIGMA, number=datum.number))
         times = measurements.times
         if times is not None and np.ptp(times) > 0.0:
             named = _named("drift", {**_TWIST, **drives}, _DRIFT_SIGMA)

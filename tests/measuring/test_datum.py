@@ -1,0 +1,202 @@
+"""Planes, lines, sockets and cameras of unknown placement, against a hexapod written in NumPy and finite differences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pm3dof_pin.calibration.identification import identify
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.measuring.datum import DATUM_KINDS, Datum
+from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
+from pm3dof_pin.measuring.measurements import Measurements
+
+SIGMA = 2e-6
+LENGTHS = tuple(f"strut{k}_tip.tz" for k in range(1, 7))
+CAMERA = Rotation.from_euler("xyz", [2.9, 0.2, 0.4]).as_matrix()
+CAMERA_PLACE = np.array([0.05, -0.08, 0.9])
+FOCAL, CENTRE = 4000.0, 1024.0
+
+
+@pytest.fixture(scope="module")
+def errors() -> GeometricErrors:
+    return GeometricErrors.load("hexapod").select(LENGTHS)
+
+
+@dataclass
+class Hexapod:
+    """Struts between points of base and platform, as the description has them at home; lengths from Pythagoras."""
+
+    base: np.ndarray
+    platform: np.ndarray
+    shortest: np.ndarray
+    home: np.ndarray
+
+    @classmethod
+    def of(cls, errors: GeometricErrors) -> Hexapod:
+        robot = errors.robot
+        at = robot.configuration(robot.home.q)
+        base, joints = (
+            np.array([at.frame_placement(name.format(k)).translation for k in range(1, 7)])
+            for name in ("universal{}_first_joint", "B{}")
+        )
+        tool = at.tool_placement
+        platform = (joints - tool.translation) @ tool.rotation
+        lengths = np.linalg.norm(joints - base, axis=1)
+        return cls(base, platform, lengths - robot.home.commands.ravel(), tool.translation)
+
+    def commands(self, place: np.ndarray, turn: np.ndarray, longer: np.ndarray) -> np.ndarray:
+        """Readings of the drives of a machine with longer struts."""
+        reach = np.linalg.norm(place + self.platform @ turn.T - self.base, axis=1)
+        return np.asarray(reach - self.shortest - longer)
+
+
+def _touches(kind: str, hexapod: Hexapod, longer: np.ndarray, generator: np.random.Generator) -> tuple[str, list[str]]:
+    """Return the header and rows of a file: poses that touch exactly, and noise on the number or on the commands."""
+    rows = []
+    normal = np.array([0.03, -0.02, 1.0]) / np.linalg.norm([0.03, -0.02, 1.0])
+    along = np.array([1.0, 0.1, 0.05]) / np.linalg.norm([1.0, 0.1, 0.05])
+    for _ in range(60):
+        place = hexapod.home + generator.uniform(-6e-3, 6e-3, 3)
+        turn = Rotation.from_rotvec(generator.uniform(-0.05, 0.05, 3)).as_matrix()
+        cells: list[float] = [1]
+        # points beside the tool point, so that turning shows
+        point = generator.uniform(-0.03, 0.03, 3) if kind in ("plane", "camera") else np.zeros(3)
+        noise = generator.normal(scale=SIGMA, size=3)
+        if kind == "plane":
+            height = (place + turn @ point - hexapod.home - [0.0, 0.0, 0.001]) @ normal
+            cells += [height + noise[0], SIGMA]
+        elif kind == "line":
+            place = hexapod.home + 1e-3 + along * ((place - hexapod.home) @ along)
+            place = place + noise - along * (noise @ along)
+            cells += [SIGMA]
+        elif kind == "socket":
+            place = hexapod.home + 1e-3 + noise
+            cells += [SIGMA]
+        else:
+            x, y, z = CAMERA @ (place + turn @ point - CAMERA_PLACE)
+            pixel = SIGMA / z * FOCAL
+            cells += [
+                FOCAL * x / z + CENTRE + pixel * noise[0] / SIGMA,
+                FOCAL * y / z + CENTRE + pixel * noise[1] / SIGMA,
+            ]
+            cells += [FOCAL, FOCAL, CENTRE, CENTRE, pixel]
+        row = [*hexapod.commands(place, turn, longer), *cells, *point]
+        rows.append(",".join(repr(float(cell)) for cell in row))
+    own = {"plane": "height_m,sigma_touch_m", "line": "sigma_touch_m", "socket": "sigma_touch_m"}
+    image = "image_u_px,image_v_px,focal_u_px,focal_v_px,centre_u_px,centre_v_px,sigma_image_px"
+    drives = ",".join(f"u{k}_m" for k in range(1, 7))
+    return f"{drives},{kind},{own.get(kind, image)},px_m,py_m,pz_m", rows
+
+
+@pytest.mark.parametrize("kind", DATUM_KINDS)
+def test_strut_lengths_are_identified(kind: str, errors: GeometricErrors, tmp_path: Path) -> None:
+    """Within 4 sigma each, and by their covariance; the residuals are noise."""
+    generator = np.random.default_rng(5)
+    hexapod, longer = Hexapod.of(errors), np.array([80, -120, 60, 150, -40, -100]) * 1e-6
+    header, rows = _touches(kind, hexapod, longer, generator)
+    path = tmp_path / "touches.csv"
+    path.write_text("\n".join([header, *rows]))
+    seen = read_measurements(path, errors.robot, target_sigma=0.0)
+    assert seen.warnings == ()
+    found = identify(seen, errors, loss="squares")
+    assert found.nuisances.names[0].startswith(f"{kind}1.")
+    assert len(found.nuisances) == len(DATUM_KINDS[kind].moves)
+    covariance = found.covariance[:6, :6]
+    off = found.values[:6] - longer
+    square = off @ np.linalg.solve(covariance, off)
+    assert square < 22.5  # 99.9 % of six
+    # what cannot be told is a shift of everything, not the differences between struts
+    assert np.sort(np.sqrt(np.linalg.eigvalsh(covariance)))[:3].max() < 2e-5
+    left = found.normalised_residuals if hasattr(found, "normalised_residuals") else None
+    assert left is None or np.sqrt(np.mean(np.square(left))) < 1.3
+    again = read_measurements(
+        write_measurements(seen, errors.robot, tmp_path / "again.csv"), errors.robot, target_sigma=0.0
+    )
+    poses = errors.robot.forward(seen.commands)
+    np.testing.assert_allclose(again.residuals(poses), seen.residuals(poses), atol=1e-9)
+    np.testing.assert_allclose(again.sigmas, seen.sigmas, rtol=1e-6)
+
+
+def test_rows_have_the_derivatives_of_finite_differences(errors: GeometricErrors, tmp_path: Path) -> None:
+    """By errors of a machine a tolerance off, for all kinds in one file."""
+    generator = np.random.default_rng(1)
+    poses = reachable_poses(errors.robot, 30, generator)
+    at = errors.sample(generator)
+    machine = errors.apply(at).forward(poses.commands, guess=poses.q)
+    datums = []
+    for k, (kind, entry) in enumerate(DATUM_KINDS.items()):
+        values = np.full((30, entry.dimension), np.nan)
+        own = slice(7 * k, 7 * k + 7)
+        if kind == "camera":
+            seen = (machine.positions[own] - CAMERA_PLACE) @ CAMERA.T
+            values[own] = seen[:, :2] / seen[:, 2:]
+        else:
+            values[own] = 0.0
+        datums.append(Datum.fitted(kind, 1, machine.positions, values))
+    sigmas = np.full((30, 3), np.inf)
+    for datum in datums:
+        sigmas[datum.rows, : datum.values.shape[1]] = SIGMA
+    rows = Measurements(poses.commands, poses.positions, None, sigmas, np.full((30, 3), 0.01), datums=tuple(datums))
+    motions = sensitivities(errors, machine, at).errors
+    step = 1e-6
+    for k in range(6):
+        ahead, back = (
+            rows.residuals(errors.apply(at + sign * step * np.eye(6)[k]).forward(poses.commands, guess=machine.q))
+            for sign in (1.0, -1.0)
+        )
+        expected = np.where(rows.seen, -(ahead - back) / (2.0 * step), 0.0)
+        found = np.where(rows.seen, rows.derivatives(machine, motions)[:, :, k], 0.0)
+        np.testing.assert_allclose(found, expected, atol=5e-7)
+        shifted = rows.without_motions(machine, step * motions[:, :, k])
+        change = np.where(rows.seen, shifted.residuals(machine) - rows.residuals(machine), 0.0)
+        np.testing.assert_allclose(change, -step * found, atol=1e-10)
+    some = rows[np.arange(5, 16)]
+    np.testing.assert_array_equal(some.residuals(machine[5:16]), rows.residuals(machine)[5:16])
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "says"),
+    [
+        ("plane", ["1"] * 3, "plane 1 has 3 rows: expected at least 4|plane 1 has 3 rows, expected at least 4"),
+        ("plane", ["1.5"] * 5, "plane is a number of datums"),
+        ("line,x_m,y_m,z_m", ["1,0,0,0.13"] * 4, "a row has a datum and other measurements"),
+        ("camera", ["1"] * 7, "no column image_u_px"),
+        ("socket,sigma_touch_m", ["1,0"] * 3, "sigma_touch_m is not positive"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_lines(
+    header: str, cells: list[str], says: str, errors: GeometricErrors, tmp_path: Path
+) -> None:
+    path = tmp_path / "wrong.csv"
+    drives = ",".join(f"u{k}_m" for k in range(1, 7))
+    lines = [",".join(["0.001"] * 5 + [f"0.00{k}"]) + "," + cell for k, cell in enumerate(cells)]
+    path.write_text("\n".join([f"{drives},{header}", *lines]))
+    with pytest.raises(MeasurementError, match=says):
+        read_measurements(path, errors.robot)
+
+
+def test_placements_and_points_have_the_derivatives_of_finite_differences() -> None:
+    generator = np.random.default_rng(0)
+    for kind, entry in DATUM_KINDS.items():
+        points = generator.normal(size=(8, 3)) + [0.0, 0.0, 6.0]
+        axes = Rotation.from_rotvec(generator.normal(scale=0.3, size=3)).as_matrix()
+        values = generator.normal(size=(8, entry.dimension))
+        datum = Datum(kind, 1, axes, np.array([0.1, -0.2, 0.3]), values, generator.uniform(1.0, 2.0, 8))
+        step = 1e-6
+        for k in range(3):
+            ahead, back = (datum.residuals(points + sign * step * np.eye(3)[k]) for sign in (1.0, -1.0))
+            np.testing.assert_allclose(datum.directions(points)[:, :, k], -(ahead - back) / (2 * step), atol=1e-8)
+        for k in range(len(entry.moves)):
+            twist = step * np.eye(len(entry.moves))[k]
+            ahead, back = (datum.moved(sign * twist).residuals(points) for sign in (1.0, -1.0))
+            np.testing.assert_allclose(datum.by_placement(points)[:, :, k], -(ahead - back) / (2 * step), atol=1e-8)
+            moved = np.einsum("ndi,ni->nd", datum.directions(points), datum.apparent_motions(points)[:, :, k])
+            np.testing.assert_allclose(moved, datum.by_placement(points)[:, :, k], atol=1e-9)
