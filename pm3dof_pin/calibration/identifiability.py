@@ -25,8 +25,8 @@ from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.measuring.measurement_file import encoder_column
-from pm3dof_pin.measuring.measurements import Measurements, joint_coordinates, with_joints
+from pm3dof_pin.measuring.instruments import planned_measurements
+from pm3dof_pin.measuring.measurements import with_joints
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array
 
@@ -47,9 +47,7 @@ def stacked_regressor(
     The nuisance rows, shape=(n, rows of a pose, k), are in units of the nuisance parameters' scales. `elastic` holds
     the known wrenches at these poses.
     """
-    measurements = Measurements.from_poses(poses.commands, poses.transforms, instrument)
-    if instrument is not None and instrument.encoders:
-        measurements = _with_encoders(measurements, poses, instrument)
+    measurements = planned_measurements(poses, instrument or Instrument())
     rows = np.arange(len(measurements)) // (len(measurements) // len(poses))
     nuisances = Nuisances.from_measurements(measurements, tuple(command.unit for command in errors.robot.commands))
     found = sensitivities(errors, poses, joints=tuple(measurements.joints))
@@ -65,18 +63,6 @@ def stacked_regressor(
     motions = np.concatenate([found.errors, by_springs], axis=2)
     by_errors = scaled(motions[rows], np.concatenate([errors.tolerances, springs.sigmas]))
     return by_errors, scaled(nuisances.motions(measurements, at_rows, drives), nuisances.scales), nuisances
-
-
-def _with_encoders(measurements: Measurements, poses: Poses, instrument: Instrument) -> Measurements:
-    """Add the readings of the instrument's encoders to the first row of each pose."""
-    for joint in instrument.encoders:
-        encoder_column(poses.robot, joint)
-    joints: dict[str, str] = {joint: poses.robot.single_joint(joint).unit for joint in instrument.encoders}
-    rows = len(measurements) // len(poses)
-    noise = [instrument.position_sigma if unit == "m" else instrument.angle_sigma for unit in joints.values()]
-    sigmas = np.full((len(measurements), len(joints)), np.inf)
-    sigmas[::rows] = noise
-    return measurements.with_encoders(joints, np.repeat(joint_coordinates(poses, tuple(joints)), rows, axis=0), sigmas)
 
 
 @dataclass(frozen=True)

@@ -3,31 +3,43 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import typer
 
 from pm3dof_pin.cli.calibrate import MethodName, TargetOffsets
 from pm3dof_pin.cli.error_parameters import closing_errors
-from pm3dof_pin.cli.options import Json, KnownWrenches, RobotErrorsOptions
+from pm3dof_pin.cli.options import Json, KnownWrenches, RobotErrorsOptions, finite_number
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
 
 if TYPE_CHECKING:
-    from pm3dof_pin.calibration.fit import Method
-    from pm3dof_pin.calibration.planning import Plan, PlanningProblem, Strategy
+    from pm3dof_pin.calibration.measurement_plan import MeasurementPlan
+    from pm3dof_pin.calibration.planning import PlanningProblem
 
-SEEDS = range(10)
 COUNTS = (3, 6, 9, 12, 20, 40, 60)
-_TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)  # numbers of poses tried until an accuracy is reached
-_DEFAULT_POSES = 9
+_Point: TypeAlias = tuple[float, float, float]
+_Instrument: TypeAlias = Literal["tracker", "ballbar", "wires", "probe", "gauge", "line", "socket", "camera", "level"]
 
 
 _Strategy: TypeAlias = Literal[
     "d-optimal", "tip-optimal", "space-filling", "process-variance", "least-sensitive", "random"
 ]
+
+
+class _Place(NamedTuple):
+    x: float
+    y: float
+    z: float
+
+    @classmethod
+    def parse(cls, text: str) -> _Place:
+        """Read X Y Z."""
+        words = text.split()
+        if len(words) != len(cls._fields):
+            raise typer.BadParameter(f"expected X Y Z, not '{text}'")
+        return cls(*map(finite_number, words))
 
 
 def calibration_plan(
@@ -52,6 +64,30 @@ def calibration_plan(
             help="Choose enough poses to bring the excess tip error over the best commands below this [m, rms].",
         ),
     ] = None,
+    instrument: Annotated[
+        _Instrument,
+        typer.Option(help="What measures: full poses, or distances, touches, heights, image points, tilts."),
+    ] = "tracker",
+    point: Annotated[
+        _Point | None,
+        typer.Option(metavar="X Y Z", help="The ball, stylus or target, in tool axes [m]; the tool point by default."),
+    ] = None,
+    centre: Annotated[
+        list[_Place] | None,
+        typer.Option(
+            metavar="X Y Z",
+            parser=_Place.parse,
+            help="Where the instrument is about, base axes [m]: socket, plane, line, camera; for wires repeated.",
+        ),
+    ] = None,
+    length: Annotated[float | None, typer.Option(metavar="METRES", help="Length of a ballbar (0.15).")] = None,
+    sigma: Annotated[
+        float | None, typer.Option(min=1e-9, help="Noise of the instrument [m], of a level [rad]; else a usual one.")
+    ] = None,
+    machines: Annotated[
+        int,
+        typer.Option(min=0, help="Random machines, three tolerances out, to be assembled at every planned pose."),
+    ] = 30,
     positions: Annotated[
         bool, typer.Option("--positions", help="The instrument measures positions only, not full poses.")
     ] = False,
@@ -114,147 +150,92 @@ def calibration_plan(
 
     import numpy as np
 
-    from pm3dof_pin.calibration.identifiability import minimum_poses
-    from pm3dof_pin.calibration.planning import (
-        STRATEGIES,
-        STRATEGY_OF_METHOD,
-        PlanningProblem,
-        order_with_references,
-    )
-    from pm3dof_pin.errors.source_errors import ErrorSources
-    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+    from pm3dof_pin.calibration.measurement_plan import plan_measurements
     from pm3dof_pin.measuring.instrument import TARGET_RADIUS, TARGET_SIGMA, Instrument
     from pm3dof_pin.measuring.measurement_file import read_plan, write_plan
-    from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 
     if accuracy is not None and (poses is not None or not 0.0 < accuracy < math.inf):
         raise typer.BadParameter("expected a positive --accuracy [m], without --poses")
-    whole = not positions and targets is None and not encoder
-    if not whole and (accuracy is not None or method != "lm"):
-        raise typer.BadParameter("--positions, --targets and --encoder are for --method lm, without --accuracy")
-    chosen = strategy or STRATEGY_OF_METHOD[method]
+    partial = positions or targets is not None or bool(encoder)
+    tracked = partial or own_frame
+    if (partial or instrument != "tracker") and (accuracy is not None or method != "lm"):
+        named = "--instrument, --positions, --targets and --encoder"
+        raise typer.BadParameter(f"{named} are for --method lm, without --accuracy")
+    if tracked and instrument != "tracker":
+        raise typer.BadParameter("--positions, --own-frame, --targets and --encoder are for --instrument tracker")
+    if instrument == "tracker" and (point is not None or centre or length is not None or sigma is not None):
+        raise typer.BadParameter("--point, --centre, --length and --sigma are for other instruments than a tracker")
     errors = which.load_errors()
-    generator = np.random.default_rng(seed)
     with progress_bar("planning") as progress:
-        choices = (
-            reachable_poses(errors.robot, candidates, generator, margin=margin)
-            if among is None
-            else errors.robot.forward(read_plan(among, errors.robot)[0])
-        )
-        tests = reachable_poses(errors.robot, min(candidates, 300), generator)
-        fitting = closing_errors(errors, choices[:20])
-        instrument = replace(
-            Instrument("position" if positions else "pose"), own_frame=own_frame, encoders=tuple(encoder or ())
-        )
+        choices = None if among is None else errors.robot.forward(read_plan(among, errors.robot)[0])
+        fitting = closing_errors(errors, None if choices is None else choices[:20])
+        seen: Any = instrument
+        if tracked:
+            seen = replace(
+                Instrument("position" if positions else "pose"), own_frame=own_frame, encoders=tuple(encoder or ())
+            )
         if targets is not None:
-            sigma = target_sigma if target_offsets == "estimate" else 0.0
+            target = target_sigma if target_offsets == "estimate" else 0.0
             around = 2.0 * np.pi * np.arange(targets) / targets
             points = TARGET_RADIUS * np.stack([np.cos(around), np.sin(around), 0.0 * around], axis=1)
             circle = tuple((float(x), float(y), float(z)) for x, y, z in points)
-            instrument = replace(instrument, targets=circle, target_sigma=sigma, position_sigma=TARGET_SIGMA)
-        wrenches = None
-        if wrench is not None:
-            wrenches = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (len(choices), 6)) * wrench
-        problem = PlanningProblem(
+            seen = replace(seen, targets=circle, target_sigma=target, position_sigma=TARGET_SIGMA)
+        progress(1, 3)
+        found = plan_measurements(
             fitting,
-            choices,
-            tests,
-            instrument=instrument,
+            poses,
+            instrument=seen,
+            sigma=sigma,
+            point=point,
+            centres=tuple((place.x, place.y, place.z) for place in centre or ()),
+            length=length,
+            method=method,
+            strategy=strategy,
+            accuracy=accuracy,
+            among=choices,
+            candidates=candidates,
+            margin=margin,
             min_distance=distance,
             prior=prior,
-            wrenches=wrenches,
-            sources=ErrorSources(fitting),
+            wrench=wrench,
+            references=references,
+            machines=machines,
+            seed=seed,
         )
-        progress(1, 3)
-        tried: dict[int, float] = {}
-        if whole:
-            tried = _rehearsed(problem, chosen, method, poses, accuracy, seed)
-        count = max(tried, default=poses or _DEFAULT_POSES)
-        plan = problem.plan(count, chosen, np.random.default_rng(seed))
         progress(2, 3)
-        others = {name: _predicted(problem, plan, count, name, seed) for name in STRATEGIES}
-        loads = {}
-        if wrenches is not None:
-            columns = zip(WRENCH_COLUMNS, wrenches[plan.indices].T, strict=True)
-            loads = {name: values for name, values in columns if values.any()}
-        order = np.arange(count) if references is None else order_with_references(plan.poses, references, seed)
-        ordered = {name: values[order] for name, values in loads.items()}
-        files = [write_plan(plan.poses[order], out, ordered)]
-        minimum = minimum_poses(*(rows[: 2 * len(errors)] for rows in (problem.regressor, problem.nuisance_regressor)))
+        files = [write_plan(found.poses, out, found.loads)]
         if picture is not None:
-            files += _draw(problem, minimum, picture, formats)
-    result = _result(problem, plan, minimum, others)
-    result |= {"method": method, "excess_tip_rms_by_poses_m": {str(n): value for n, value in tried.items()}}
-    result |= {"accuracy_m": accuracy, "accuracy_reached": None if accuracy is None else tried[count] <= accuracy}
+            files += _draw(found.problem, found.minimum_poses, picture, formats)
+        result = _result(found, instrument)
+    result |= {"method": method, "excess_tip_rms_by_poses_m": {str(n): value for n, value in found.excess.items()}}
+    result |= {"accuracy_m": accuracy, "accuracy_reached": found.accurate}
     print_result(result, _lines(result), as_json=as_json, files=files)
 
 
-def _rehearsed(
-    problem: PlanningProblem, strategy: Strategy, method: Method, poses: int | None, accuracy: float | None, seed: int
-) -> dict[int, float]:
-    """Return the excess tip error over the best commands, by number of poses [m], until one is accurate enough."""
-    import numpy as np
-
-    from pm3dof_pin.calibration.fit import MIN_POSES
-    from pm3dof_pin.calibration.rehearsal import Rehearsal
-    from pm3dof_pin.exceptions import InvalidValueError
-
-    rehearsal = Rehearsal(problem, np.random.default_rng(seed))
-    tried: dict[int, float] = {}
-    for count in [poses or _DEFAULT_POSES] if accuracy is None else _TRIED:
-        if method != "lm" and count < MIN_POSES:
-            break
-        try:
-            plan = problem.plan(count, strategy, np.random.default_rng(seed), restarts=1)
-        except InvalidValueError:
-            if not tried:
-                raise
-            break
-        tried[count] = rehearsal.excess(plan.indices, method, seed)
-        if accuracy is not None and tried[count] <= accuracy:
-            break
-    return tried
-
-
-def _predicted(problem: PlanningProblem, plan: Plan, poses: int, strategy: Any, seed: int) -> float:
-    """Return the remaining tip error of a strategy [m]; NaN if it has fewer poses to choose from."""
-    from pm3dof_pin.exceptions import InvalidValueError
-
-    if strategy == plan.strategy:
-        return plan.predicted_tip_rms
-    try:
-        return float(problem.accuracy_curve([poses], strategy, _seeds(strategy, seed)).mean())
-    except InvalidValueError:
-        return float("nan")
-
-
-def _seeds(strategy: Strategy, seed: int = 0) -> Sequence[int]:
-    """Return one seed for strategies that hardly depend on it, several to average over for the others."""
-    return SEEDS if strategy in ("space-filling", "least-sensitive", "random") else [seed]
-
-
 def _draw(problem: PlanningProblem, minimum: int, path: Path, formats: list[PictureFormat] | None) -> list[Path]:
+    from pm3dof_pin.calibration.measurement_plan import seeds
     from pm3dof_pin.calibration.planning import STRATEGIES
     from pm3dof_pin.figures.plan_accuracy import plan_accuracy
     from pm3dof_pin.figures.style import save_figure
 
-    curves: dict[str, Any] = {name: problem.accuracy_curve(COUNTS, name, _seeds(name)) for name in STRATEGIES}
+    curves: dict[str, Any] = {name: problem.accuracy_curve(COUNTS, name, seeds(name)) for name in STRATEGIES}
     figure = plan_accuracy(COUNTS, curves, minimum)
     return save(figure, path, formats) if formats else [save_figure(figure, path)]
 
 
-def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[Any, float]) -> dict[str, Any]:
-
+def _result(found: MeasurementPlan, instrument: str) -> dict[str, Any]:
+    problem, plan = found.problem, found.plan
     known = plan.identifiability
     units = sorted({command.unit for command in problem.errors.robot.commands})
     return {
         "robot": problem.errors.robot.name,
+        "instrument": instrument,
         "strategy": plan.strategy,
         "poses": len(plan.indices),
         "_".join(["commands", *units]): plan.poses.commands,
         "predicted_tip_rms_m": plan.predicted_tip_rms,
         "tip_rms_before_m": problem.predicted_tip_rms([]),
-        "predicted_tip_rms_by_strategy_m": predicted,
+        "predicted_tip_rms_by_strategy_m": found.by_strategy,
         "parameters": len(problem.unknowns),
         "predicted_stiffness_sigma_of_logarithm": {
             name.removesuffix(".ln_k"): sigma
@@ -267,7 +248,10 @@ def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[
         "better_known_than_tolerances": known.identified,
         "not_identifiable": known.unidentifiable,
         "not_identified": known.unidentified,
-        "least_number_of_poses": minimum,
+        "least_number_of_poses": found.minimum_poses,
+        "machines_assembled": found.machines,
+        "candidates_near_singular": found.near_singular,
+        "candidates_not_assembled": found.not_assembled,
         "observability": known.observability.__dict__,
     }
 
@@ -288,6 +272,7 @@ def _lines(result: dict[str, Any]) -> list[str]:
     beside = result["estimated_beside_them"]
     return [
         f"{result['robot']}: {result['poses']} poses, {result['strategy']}, for method {result['method']}"
+        + (f", {result['instrument']}" if result["instrument"] != "tracker" else "")
         + (f"; also estimated: {', '.join(beside)}" if beside else ""),
         f"{result['better_known_than_tolerances']} of {result['parameters']} parameters identified better than their "
         f"tolerances, {result['identifiable']} have an effect; to see all effects takes "

@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 
 from typer.core import TyperCommand
 
-NUMBER_OF_VALUES = {"--range": 4, "--over": 4, "--at": 2, "--wrench": 6}
+NUMBER_OF_VALUES = {"--range": 4, "--over": 4, "--at": 2, "--wrench": 6, "--centre": 3}
 """Number of values of each such option."""
 
 

@@ -34,6 +34,14 @@ class Instrument:
     targets: tuple[tuple[float, float, float], ...] = ()
     target_sigma: float = 0.0  #: prior standard deviation of the targets' coordinates [m]; 0 if known exactly
     encoders: tuple[str, ...] = ()  #: passive joints whose encoders are read at each pose, with the noise above
+    tilts_only: bool = False  #: whether of a pose only the turns about x and y are seen, as by a level
+    #: points of unknown place from which the distances of the targets are measured, base axes [m]
+    centres: tuple[tuple[float, float, float], ...] = ()
+    length: float | None = None  #: the only distance that can be measured, of a ballbar [m]
+    datum: str = ""  #: "plane", "line", "socket" or "camera" of unknown placement that the targets are measured against
+    datum_place: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: about where it is, base axes [m]
+    datum_axes: tuple[tuple[float, float, float], ...] = ()  #: about its axes, as rows, base axes
+    touches: bool = False  #: whether the first target must touch the datum
 
     def __post_init__(self) -> None:
         """Check the noise."""
@@ -65,6 +73,8 @@ class Instrument:
     def sigmas(self) -> Array:
         """Noise of each measured coordinate of a pose, shape=(6,), or (3,) for positions [m, rad]."""
         full = np.repeat([self.position_sigma, self.angle_sigma], 3)
+        if self.tilts_only:
+            full[[0, 1, 2, 5]] = np.inf
         return full if self.measured == "pose" else full[:3]
 
     @property

@@ -1,4 +1,4 @@
-"""Planes, lines, sockets and cameras of unknown placement, against a hexapod written in NumPy and finite differences."""
+"""Planes, lines, sockets and cameras of unknown placement: against a hexapod in NumPy, and finite differences."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _touches(kind: str, hexapod: Hexapod, longer: np.ndarray, generator: np.rand
 
 @pytest.mark.parametrize("kind", DATUM_KINDS)
 def test_strut_lengths_are_identified(kind: str, errors: GeometricErrors, tmp_path: Path) -> None:
-    """Within 4 sigma each, and by their covariance; the residuals are noise."""
+    """As their covariance says."""
     generator = np.random.default_rng(5)
     hexapod, longer = Hexapod.of(errors), np.array([80, -120, 60, 150, -40, -100]) * 1e-6
     header, rows = _touches(kind, hexapod, longer, generator)
@@ -115,8 +115,6 @@ def test_strut_lengths_are_identified(kind: str, errors: GeometricErrors, tmp_pa
     assert square < 22.5  # 99.9 % of six
     # what cannot be told is a shift of everything, not the differences between struts
     assert np.sort(np.sqrt(np.linalg.eigvalsh(covariance)))[:3].max() < 2e-5
-    left = found.normalised_residuals if hasattr(found, "normalised_residuals") else None
-    assert left is None or np.sqrt(np.mean(np.square(left))) < 1.3
     again = read_measurements(
         write_measurements(seen, errors.robot, tmp_path / "again.csv"), errors.robot, target_sigma=0.0
     )
@@ -186,7 +184,7 @@ def test_what_cannot_be_is_refused_with_lines(
 def test_placements_and_points_have_the_derivatives_of_finite_differences() -> None:
     generator = np.random.default_rng(0)
     for kind, entry in DATUM_KINDS.items():
-        points = generator.normal(size=(8, 3)) + [0.0, 0.0, 6.0]
+        points = generator.normal(size=(8, 3)) + np.array([0.0, 0.0, 6.0])
         axes = Rotation.from_rotvec(generator.normal(scale=0.3, size=3)).as_matrix()
         values = generator.normal(size=(8, entry.dimension))
         datum = Datum(kind, 1, axes, np.array([0.1, -0.2, 0.3]), values, generator.uniform(1.0, 2.0, 8))

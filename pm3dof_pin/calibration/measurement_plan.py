@@ -1,0 +1,264 @@
+"""A plan of measurements: candidates that the instrument can see and the machine can take, poses chosen from them.
+
+Candidates are within all limits and declared ranges, touch what the instrument touches, and keep away from singular
+poses, where errors of the parts move the tool several times as far as usual: D-optimal poses would seek these. Machines
+with errors of three tolerances are assembled at the poses chosen; candidates at which one cannot be are replaced.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pm3dof_pin.calibration.fit import MIN_POSES, Method
+from pm3dof_pin.calibration.identifiability import minimum_poses
+from pm3dof_pin.calibration.planning import (
+    MIN_DISTANCE,
+    STRATEGIES,
+    STRATEGY_OF_METHOD,
+    Plan,
+    PlanningProblem,
+    Strategy,
+    order_with_references,
+)
+from pm3dof_pin.calibration.rehearsal import Rehearsal
+from pm3dof_pin.errors.error_map import error_map
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.source_errors import ErrorSources
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.instruments import InstrumentName, placed_instrument, touching_poses
+from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
+from pm3dof_pin.typing import Array, Indices, Mask
+
+logger = logging.getLogger(__name__)
+
+SINGULAR = 3.0
+"""Times the median sensitivity to errors of the parts: beyond it a candidate is too near to a singular pose."""
+OUT_OF_TOLERANCE = 3.0
+"""Errors of the machines that must be assembled at every planned pose, in tolerances."""
+MACHINES = 30
+"""Number of these machines."""
+
+DEFAULT_POSES = 9
+TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)
+"""Numbers of poses tried until an accuracy is reached."""
+SEEDS = range(10)
+
+_TESTS = 300
+_WITHIN = 1e-9  # of declared ranges [m, rad]
+_ROUNDS = 4  # of replacing poses at which some machine cannot be assembled
+_MORE = 4  # times as many candidates are drawn where only some are usable
+_ONCE: tuple[Strategy, ...] = ("space-filling", "least-sensitive", "random")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementPlan:
+    """Poses to measure, in their order, and what they tell."""
+
+    problem: PlanningProblem  #: the candidates that were left, and the instrument
+    plan: Plan  #: the poses chosen
+    order: Indices  #: order in which to measure them; some twice with references
+    loads: dict[str, Array]  #: wrenches by column, for each pose in this order
+    excess: dict[int, float]  #: excess tip error over the best commands, by number of poses tried [m]
+    accurate: bool | None  #: whether the accuracy asked for is reached; None if none was
+    machines: int  #: number of machines, three tolerances out, that were assembled at every pose
+    near_singular: int  #: candidates left out because they are near singular poses
+    not_assembled: int  #: candidates left out because one of the machines cannot be assembled there
+    seed: int  #: of the random numbers
+
+    @property
+    def poses(self) -> Poses:
+        """The poses in the order to measure them."""
+        return self.plan.poses[self.order]
+
+    @cached_property
+    def minimum_poses(self) -> int:
+        """Least number of poses that identify as much as all candidates."""
+        rows = 2 * len(self.problem.errors)
+        return minimum_poses(self.problem.regressor[:rows], self.problem.nuisance_regressor[:rows])
+
+    @cached_property
+    def by_strategy(self) -> dict[Strategy, float]:
+        """Predicted tip error with as many poses of each strategy, rms [m]; NaN with too few candidates."""
+        return {name: self._predicted(name) for name in STRATEGIES}
+
+    def _predicted(self, strategy: Strategy) -> float:
+        if strategy == self.plan.strategy:
+            return self.plan.predicted_tip_rms
+        try:
+            return float(
+                self.problem.accuracy_curve([len(self.plan.indices)], strategy, seeds(strategy, self.seed)).mean()
+            )
+        except InvalidValueError:
+            return float("nan")
+
+
+def seeds(strategy: Strategy, seed: int = 0) -> Sequence[int]:
+    """Return several seeds to average over for strategies that depend on them, one for the others."""
+    return SEEDS if strategy in _ONCE else [seed]
+
+
+def plan_measurements(
+    errors: GeometricErrors,
+    poses: int | None = None,
+    *,
+    instrument: Instrument | InstrumentName = "tracker",
+    sigma: float | None = None,
+    point: tuple[float, float, float] | None = None,
+    centres: tuple[tuple[float, float, float], ...] = (),
+    length: float | None = None,
+    method: Method = "lm",
+    strategy: Strategy | None = None,
+    accuracy: float | None = None,
+    among: Poses | None = None,
+    candidates: int = 2000,
+    margin: float = 0.0,
+    min_distance: float = MIN_DISTANCE,
+    prior: float = 3.0,
+    wrench: Sequence[float] | None = None,
+    references: int | None = None,
+    machines: int = MACHINES,
+    seed: int = 0,
+) -> MeasurementPlan:
+    """Choose poses to measure for a calibration.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.calibration.measurement_plan import plan_measurements
+        >>> errors = pm.GeometricErrors.load("hexapod")
+        >>> found = plan_measurements(errors, 12, instrument="ballbar", candidates=100, machines=2)
+        >>> len(found.poses)
+        12
+
+    Args:
+        errors: the parameters with their tolerances; the loops can close with them.
+        poses: number of poses, 9 by default.
+        instrument: what is measured, or its name; see :mod:`pm3dof_pin.measuring.instruments`.
+        sigma: for names: noise of a coordinate [m].
+        point: for names: the ball, stylus or target, in tool axes [m].
+        centres: for names: where distances start, or the instrument is, base axes [m].
+        length: for names: length of a ballbar [m].
+        method: calibration method, which determines the strategy.
+        strategy: another strategy.
+        accuracy: instead of a number of poses: the excess tip error over the best commands to reach, rms [m].
+        among: poses to choose from, by default random ones.
+        candidates: number of these.
+        margin: part of each coordinate's range to exclude at either end.
+        min_distance: see :data:`~pm3dof_pin.calibration.planning.MIN_DISTANCE`.
+        prior: prior standard deviation of the parameters, in tolerances.
+        wrench: greatest known wrench on the tool, shape=(6,) [N, N m]; stiffness is then unknown too.
+        references: order the poses at random, and repeat one after so many others.
+        machines: number of machines, three tolerances out, to be assembled at every pose.
+        seed: of the random numbers.
+
+    Raises:
+        InvalidValueError: an argument is out of range, or there are too few candidates.
+        UnreachablePoseError: the instrument is out of reach, or hardly any candidate can be assembled.
+    """
+    generator = np.random.default_rng(seed)
+    robot = errors.robot
+    drawn = among
+    if drawn is None:
+        drawn = _declared(reachable_poses(robot, candidates, generator, margin=margin))
+        if len(drawn) < candidates:
+            more = _declared(reachable_poses(robot, _MORE * candidates, generator, margin=margin))
+            drawn = more[np.arange(min(candidates, len(more)))] if len(more) > len(drawn) else drawn
+    tests = _declared(reachable_poses(robot, min(candidates, _TESTS), generator))
+    if isinstance(instrument, str):
+        given = {} if length is None else {"length": length}
+        instrument = placed_instrument(instrument, drawn, sigma=sigma, point=point, centres=centres, **given)
+    choices = touching_poses(drawn, instrument)
+    choices = _declared(choices) if among is None else choices
+    regular = _regular(errors, choices) if among is None else np.ones(len(choices), dtype=bool)
+    near_singular = int((~regular).sum())
+    choices = choices[regular]
+    whole = instrument.measured == "pose" and not (instrument.targets or instrument.encoders or instrument.tilts_only)
+    if not whole and (accuracy is not None or method != "lm"):
+        raise InvalidValueError("method", method, "lm, without an accuracy, for instruments that do not see full poses")
+    chosen, dropped = strategy or STRATEGY_OF_METHOD[method], 0
+    wrenches = None
+    if wrench is not None:
+        wrenches = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (len(choices), 6)) * np.asarray(wrench)
+    for _ in range(_ROUNDS):
+        problem = PlanningProblem(
+            errors,
+            choices,
+            tests,
+            instrument=instrument,
+            min_distance=min_distance,
+            prior=prior,
+            wrenches=wrenches,
+            sources=ErrorSources(errors),
+        )
+        tried = _rehearsed(problem, chosen, method, poses, accuracy, seed) if whole else {}
+        count = max(tried, default=poses or DEFAULT_POSES)
+        plan = problem.plan(count, chosen, np.random.default_rng(seed))
+        open_ = ~_assembled(errors, plan.poses, machines, seed)
+        if not open_.any():
+            break
+        dropped += int(open_.sum())
+        kept = np.delete(np.arange(len(choices)), plan.indices[open_])
+        choices, wrenches = choices[kept], None if wrenches is None else wrenches[kept]
+    else:
+        raise UnreachablePoseError(
+            f"{robot.name}: machines {OUT_OF_TOLERANCE:g} tolerances out cannot be assembled at {int(open_.sum())} of "
+            f"{count} planned poses; a greater margin leaves out the ends of the ranges"
+        )
+    order = np.arange(count) if references is None else order_with_references(plan.poses, references, seed)
+    loads = {}
+    if wrenches is not None:
+        columns = zip(WRENCH_COLUMNS, wrenches[plan.indices][order].T, strict=True)
+        loads = {name: values for name, values in columns if values.any()}
+    accurate = None if accuracy is None else tried[count] <= accuracy
+    return MeasurementPlan(problem, plan, order, loads, tried, accurate, machines, near_singular, dropped, seed)
+
+
+def _declared(poses: Poses) -> Poses:
+    """Return the poses within the declared ranges of the coordinates, or all if none is."""
+    lower, upper = np.array([poses.robot.range_of(coordinate) for coordinate in poses.robot.coordinates]).T
+    within = ((poses.coordinates >= lower - _WITHIN) & (poses.coordinates <= upper + _WITHIN)).all(axis=1)
+    return poses[within] if within.any() else poses
+
+
+def _regular(errors: GeometricErrors, poses: Poses) -> Mask:
+    """Tell which poses are not near singular ones, shape=(n,)."""
+    found = error_map(errors, poses)
+    sizes = np.linalg.norm(found.weighted * errors.tolerances, axis=(1, 2))
+    return np.asarray(sizes <= SINGULAR * np.median(sizes))
+
+
+def _assembled(errors: GeometricErrors, poses: Poses, machines: int, seed: int) -> Mask:
+    """Tell at which poses every machine can be assembled, shape=(n,)."""
+    generator, found = np.random.default_rng([seed, 2]), np.ones(len(poses), dtype=bool)
+    for _ in range(machines):
+        crooked = errors.apply(OUT_OF_TOLERANCE * errors.sample(generator))
+        found &= crooked.forward(poses.commands, guess=poses.q, on_failure="nan", engine="pinocchio").solved
+    return found
+
+
+def _rehearsed(
+    problem: PlanningProblem, strategy: Strategy, method: Method, poses: int | None, accuracy: float | None, seed: int
+) -> dict[int, float]:
+    """Return the excess tip error over the best commands, by number of poses [m], until one is accurate enough."""
+    rehearsal = Rehearsal(problem, np.random.default_rng(seed))
+    tried: dict[int, float] = {}
+    for count in [poses or DEFAULT_POSES] if accuracy is None else TRIED:
+        if method != "lm" and count < MIN_POSES:
+            continue
+        try:
+            plan = problem.plan(count, strategy, np.random.default_rng(seed), restarts=1)
+        except InvalidValueError:
+            if not tried:
+                raise
+            break
+        tried[count] = rehearsal.excess(plan.indices, method, seed)
+        if accuracy is not None and tried[count] <= accuracy:
+            break
+    return tried

@@ -1,0 +1,85 @@
+"""Plans for instruments: what must touch touches, ranges are kept, machines far out of tolerance take every pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.calibration.measurement_plan import OUT_OF_TOLERANCE, plan_measurements
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.measuring.instruments import InstrumentName, placed_instrument, planned_measurements
+from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
+
+MACHINES = Path(__file__).parents[1] / "machines"
+NAMES: tuple[InstrumentName, ...] = get_args(InstrumentName)
+
+
+@pytest.fixture(scope="module")
+def errors() -> GeometricErrors:
+    return closable(GeometricErrors.load("hexapod"))
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("tracker", "level")])
+def test_what_must_touch_touches(name: InstrumentName, errors: GeometricErrors, tmp_path: Path) -> None:
+    """Judged from the tool's poses alone; and the planned rows are those of a file."""
+    point = (0.01, -0.02, 0.03)
+    found = plan_measurements(errors, 10, instrument=name, point=point, candidates=120, machines=2)
+    poses, own = found.poses, found.problem.instrument
+    tips = poses.positions + poses.rotations @ np.array(point)
+    assert poses.within_limits.all()
+    if name == "ballbar":
+        assert np.ptp(np.linalg.norm(tips - own.centres[0], axis=1)) < 1e-7
+    extents = np.linalg.svd(tips - tips.mean(axis=0), compute_uv=False)
+    flat = {"probe": 1, "line": 2, "socket": 3}.get(name, 0)
+    assert (extents[3 - flat :] < 1e-7).all()
+    assert (extents[: 3 - flat] > 1e-4).all()
+    seen = planned_measurements(poses, own)
+    path = write_measurements(seen, errors.robot, tmp_path / "planned.csv")
+    again = read_measurements(path, errors.robot, target_sigma=0.0)
+    np.testing.assert_allclose(again.residuals(errors.robot.forward(again.commands))[again.seen], 0.0, atol=1e-8)
+    assert len(again) == len(seen)
+
+
+def test_a_level_sees_two_tilts(errors: GeometricErrors) -> None:
+    poses = reachable_poses(errors.robot, 5, np.random.default_rng(0))
+    seen = planned_measurements(poses, placed_instrument("level", poses))
+    assert seen.seen.sum(axis=0).tolist() == [0, 0, 0, 5, 5, 0]
+
+
+@pytest.mark.parametrize("robot", ["pm3dof", str(MACHINES / "five_bar")])
+def test_200_machines_three_tolerances_out_take_every_pose(robot: str) -> None:
+    """Other machines than those that the plan tried."""
+    errors = closable(GeometricErrors.load(robot))
+    found = plan_measurements(errors, 9, candidates=300)
+    generator = np.random.default_rng(77)
+    for _ in range(200):
+        machine = errors.apply(OUT_OF_TOLERANCE * errors.sample(generator))
+        poses = machine.forward(found.poses.commands, guess=found.poses.q, on_failure="nan", engine="pinocchio")
+        assert poses.solved.all()
+
+
+def test_declared_ranges_are_kept() -> None:
+    """Of a delta whose joints would permit more."""
+    errors = closable(GeometricErrors.load("linear_delta"))
+    found = plan_measurements(errors, 9, candidates=150, machines=1)
+    robot = errors.robot
+    lower, upper = np.array([robot.range_of(coordinate) for coordinate in robot.coordinates]).T
+    everything = found.problem.candidates.coordinates
+    assert ((everything >= lower - 1e-9) & (everything <= upper + 1e-9)).all()
+    drawn = reachable_poses(robot, 150, np.random.default_rng(0)).coordinates
+    assert not ((drawn >= lower) & (drawn <= upper)).all()
+
+
+def test_what_cannot_be_is_refused(errors: GeometricErrors) -> None:
+    with pytest.raises(UnreachablePoseError, match="plane at 0 0 9 is out of reach"):
+        plan_measurements(errors, 9, instrument="probe", centres=((0.0, 0.0, 9.0),), candidates=50, machines=1)
+    with pytest.raises(InvalidValueError, match="one for a ballbar"):
+        plan_measurements(errors, 9, instrument="ballbar", centres=((0.0, 0.0, 0.1),) * 2, candidates=50)
+    with pytest.raises(InvalidValueError, match="lm, without an accuracy"):
+        plan_measurements(errors, 9, instrument="camera", method="gp", candidates=50)
