@@ -85,9 +85,14 @@ def view(
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a picture (PNG) and exit; needs Chromium or Chrome.")
     ] = None,
-    turntable: Annotated[
+    film: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write an animation (GIF) once around the robot and exit."),
+        typer.Option(
+            "--film",
+            "--turntable",
+            metavar="FILE",
+            help="Write a film (GIF or MP4) of the path, or once around the robot, and exit.",
+        ),
     ] = None,
     size: Annotated[tuple[int, int], typer.Option(min=64, metavar="W H", help="Size of the picture [pixels].")] = (
         1200,
@@ -137,15 +142,15 @@ def view(
             viewer.labels()
         if workspace is not None:
             _draw_workspace(viewer, workspace)
-        if html is None and picture is None and turntable is None:
+        if html is None and picture is None and film is None:
             _serve(viewer, broken, browser)
             return
         if html is not None:
             message(f"wrote {viewer.save_html(html)}")
         if picture is not None:
             message(f"wrote {viewer.save_picture(picture, width=size[0], height=size[1])}")
-        if turntable is not None:
-            message(f"wrote {viewer.save_turntable(turntable, width=size[0], height=size[1])}")
+        if film is not None:
+            message(f"wrote {viewer.record(film, width=size[0], height=size[1])}")
     stop_on_broken_limits(broken)
 
 

@@ -17,6 +17,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -90,22 +91,23 @@ class Browser:
             raise
 
     @classmethod
-    def pictures_of(cls, html: str, width: int, height: int, *, around: int = 0) -> list[bytes]:
-        """Return a picture (PNG) of a page of this package, size in pixels; BrowserError if it cannot be drawn.
+    def pictures_of(
+        cls, html: str, width: int, height: int, *, bare: bool = False, steps: Sequence[str] = ()
+    ) -> list[bytes]:
+        """Return pictures (PNG) of a page of this package, size in pixels; BrowserError if it cannot be drawn.
 
-        With `around`, return this many pictures without the panel, from a camera that circles the machine once.
+        With `bare`, the machine alone. There is one picture, or one after each of the steps, which are JavaScript.
         """
         with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, cls(width, height) as browser:
             file = Path(folder) / "page.html"
             file.write_text(html, encoding="utf-8")
             browser.open(file.as_uri())
-            if not around:
-                return [browser.picture()]
-            browser.evaluate("pm3dof.bare()")
+            if bare:
+                browser.evaluate("pm3dof.bare()")
             pictures = []
-            for _ in range(around):
+            for step in steps or ("null",):
+                browser.evaluate(step)
                 pictures.append(browser.picture())
-                browser.evaluate(f"pm3dof.turn({360.0 / around})")
             return pictures
 
     def resize(self, width: int, height: int) -> None:

@@ -19,6 +19,9 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import write_atomically, write_text_atomically
 from pm3dof_pin.typing import Array
@@ -123,25 +126,42 @@ class ShownScene:
             temporary.write_bytes(png)
         return target
 
-    def save_turntable(
-        self, path: Path | str, *, width: int = 640, height: int = 480, count: int = 48, duration: float = 6.0
-    ) -> Path:
-        """Write an animation (GIF) like :meth:`save_picture`, with the camera circling once in a duration [s]."""
+    def capture_image(self, width: int = 1200, height: int = 900) -> NDArray[np.uint8]:
+        """Return the picture of :meth:`save_picture` without the panel, shape=(height, width, 3) in 0 .. 255."""
         import io
 
         from PIL import Image
 
         from pm3dof_pin.viewer.browser import Browser
 
+        (png,) = Browser.pictures_of(self.html(), width, height, bare=True)
+        return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+
+    captureImage = capture_image  # noqa: N815
+    """As Pinocchio's MeshcatVisualizer calls it."""
+
+    def record(
+        self, path: Path | str, *, width: int = 640, height: int = 480, count: int = 48, duration: float = 6.0
+    ) -> Path:
+        """Write a film (GIF, or MP4 with ffmpeg) without the panel, like :meth:`save_picture`, and return the path.
+
+        It shows the path that is played, frame by frame in its own time; without one, the camera circles the machine
+        once in a duration [s], in `count` pictures.
+
+        Raises:
+            InvalidValueError: the name ends neither in .gif nor in .mp4.
+            OutputError, BrowserError: as :meth:`save_picture`; or ffmpeg is missing.
+        """
+        from pm3dof_pin.viewer.browser import Browser
+        from pm3dof_pin.viewer.film import write_film
+
         target = _in_existing_folder(path)
-        taken = Browser.pictures_of(self.html(), width, height, around=count)
-        pictures = [Image.open(io.BytesIO(png)).convert("RGB") for png in taken]
-        palette = pictures[0].quantize(256, method=Image.Quantize.MAXCOVERAGE)  # small parts keep their colours
-        frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-        with write_atomically(target) as temporary:
-            pace = round(1000.0 * duration / count)
-            frames[0].save(temporary, format="GIF", save_all=True, append_images=frames[1:], duration=pace, loop=0)
-        return target
+        if played := self._panel.get("path"):
+            steps = [f"pm3dof.go({frame})" for frame in range(len(played["frames"]))]
+            duration = played["duration"]
+        else:
+            steps = [f"pm3dof.turn({360.0 / count if k else 0.0})" for k in range(count)]
+        return write_film(target, Browser.pictures_of(self.html(), width, height, bare=True, steps=steps), duration)
 
     def jupyter_cell(self, height: int = 600, *, static: bool = False) -> NotebookCell:
         """Return the scene for the last line of a notebook cell, as a frame of a height [pixels].

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +15,7 @@ from pm3dof_pin.elastic.indices import OtherMotions
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
-from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import MOTIONS, Array, Motion
@@ -30,6 +30,7 @@ from pm3dof_pin.viewer.ellipsoids import (
     MotionQuantity,
 )
 from pm3dof_pin.viewer.labels import display_name, label, measures, point_names
+from pm3dof_pin.viewer.mirror import mirror
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
 from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, scale_text
 from pm3dof_pin.viewer.plane import MotionSpace
@@ -74,6 +75,9 @@ class Viewer(ShownScene):
         model: the mechanism with the springs that sliders use; by default those of its description.
         visuals: Pinocchio's visual geometry, or the path of a URDF that has it; by default the URDF next to the
             mechanism's closures file. If there is none, a stick figure is drawn.
+        viewer: a `meshcat.Visualizer`, or a path in one such as `visualizer["left"]`, into which the robot is also
+            drawn; so several robots share a scene, that of another viewer by `meshcat.Visualizer(window=other.scene)`.
+        open: whether to open the page in a browser at once, as :meth:`open` does.
         host: interface to listen on; by default only this machine.
         port: port to listen on; by default the first free one from 7000.
 
@@ -93,6 +97,8 @@ class Viewer(ShownScene):
         sliders: bool = True,
         model: ElasticModel | None = None,
         visuals: pin.GeometryModel | Path | str | None = None,
+        viewer: Any = None,
+        open: bool = False,
         host: str = "127.0.0.1",
         port: int | None = None,
     ) -> None:
@@ -118,21 +124,34 @@ class Viewer(ShownScene):
             self._panel["machine"] = self._sliders.machine_data(self._bodies)
         self._configuration = mechanism.home
         self.display(mechanism.home)
+        if viewer is not None:
+            mirror(self.scene, viewer)
+        if open:
+            self.open()
 
     @property
     def configuration(self) -> Configuration:
         """The displayed configuration."""
         return self._configuration
 
-    def display(self, configuration: Configuration | ArrayLike) -> None:
+    def display(self, configuration: Configuration | Poses | ArrayLike) -> None:
         """Show a configuration; items drawn for another one are removed.
 
         Args:
-            configuration: a configuration of the mechanism, or its q, shape=(nq,) [m, rad].
+            configuration: a configuration of the mechanism, a single solved pose, or q, shape=(nq,) [m, rad].
 
         Raises:
-            InvalidValueError: the configuration is of another mechanism, or is not a q of this one.
+            InvalidValueError: the configuration is of another mechanism, or is not a q of this one; there are several
+                poses, which :meth:`play` shows.
+            UnreachablePoseError: the pose is out of reach.
         """
+        if isinstance(configuration, Poses):
+            if len(configuration) != 1:
+                problem = f"has {len(configuration)} poses"
+                raise InvalidValueError("configuration", problem=problem, expected="one, or play(poses)")
+            configuration = (
+                configuration.configuration() if configuration.shape == () else configuration.configuration(0)
+            )
         if isinstance(configuration, Configuration):
             if not self.mechanism.matches(configuration.mechanism):
                 problem = f"is one of {configuration.mechanism}"
@@ -414,7 +433,7 @@ class Viewer(ShownScene):
 
     def play(
         self,
-        configurations: Sequence[Configuration],
+        configurations: Sequence[Configuration] | Poses,
         *,
         stiffness: Sequence[ArrayLike] | None = None,
         compliance: Sequence[ArrayLike] | None = None,
@@ -427,7 +446,7 @@ class Viewer(ShownScene):
         """Play a path as an animation, with its ellipsoids and forces.
 
         Args:
-            configurations: frames of the path, equally spaced in time, at least two.
+            configurations: frames of the path, or solved poses, equally spaced in time, at least two.
             stiffness: K at the tool in each frame, shape=(6, 6) each; without K or C no ellipsoids are drawn.
             compliance: C instead of K, shape=(6, 6) each.
             forces: actuator forces in each frame, see :meth:`actuator_forces`.
@@ -440,6 +459,7 @@ class Viewer(ShownScene):
             InvalidValueError: there are fewer than two frames, a different number of K or forces, or the duration is
             not positive. SingularConfigurationError: an ellipsoid does not exist.
         """
+        configurations = list(configurations)
         frames = len(configurations)
         if frames < 2:
             raise InvalidValueError("configurations", problem=f"are {frames}", expected="at least two")

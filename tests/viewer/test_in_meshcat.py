@@ -66,3 +66,18 @@ def test_arrays_are_packed_as_meshcat_packs_them(mechanism: Robot, visualizer: A
         for scene, root in ((viewer.scene, ""), (visualizer.window, "/meshcat/mine"))
     )
     assert sent == own
+
+
+def test_two_robots_share_the_scene_of_a_viewer(mechanism: Robot) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import meshcat
+    first = Viewer(mechanism)
+    beside = meshcat.Visualizer(window=first.scene)["second"]
+    second = Viewer(Robot.load("hexapod"), viewer=beside, sliders=False)
+    pose = second.mechanism.solve([0.0, 0.0, 0.14, 0.0, 0.0, 0.0])
+    second.display(pose)
+    drawn = transforms(first.scene)
+    expected = pose.configuration().frame_placement("platform").homogeneous
+    np.testing.assert_allclose(drawn["/meshcat/second/robot/platform"], expected, atol=1e-12)
+    np.testing.assert_allclose(drawn["/robot/platform"], mechanism.home.frame_placement("platform").homogeneous)

@@ -172,7 +172,7 @@ def test_a_turntable_goes_around(browser: object, mechanism: Robot, tmp_path: Pa
     """The pictures differ, in the machine's own colours, without floor and panel."""
     from PIL import Image
 
-    target = Viewer(mechanism, sliders=False).save_turntable(tmp_path / "turn.gif", width=200, height=160, count=3)
+    target = Viewer(mechanism, sliders=False).record(tmp_path / "turn.gif", width=200, height=160, count=3)
     with Image.open(target) as moving:
         assert (moving.n_frames, moving.size) == (3, (200, 160))
         frames = []
@@ -184,6 +184,44 @@ def test_a_turntable_goes_around(browser: object, mechanism: Robot, tmp_path: Pa
     assert all(np.all(frame[:5, :5] > 245.0) for frame in frames)
     orange = [np.abs(frame - [213.0, 94.0, 0.0]).max(axis=-1).min() for frame in frames]  # of the sliders
     assert max(orange) < 60.0
+
+
+@pytest.mark.browser
+def test_a_path_is_filmed(browser: object, mechanism: Robot, tmp_path: Path) -> None:
+    """As many frames as poses, in the path's own time; the machine moves between them."""
+    import shutil
+
+    from PIL import Image
+
+    viewer = Viewer(mechanism)
+    viewer.play(mechanism.solve([[0.0, 0.0, z] for z in (0.46, 0.49, 0.52)]), duration=1.5)
+    with Image.open(viewer.record(tmp_path / "path.gif", width=200, height=160)) as moving:
+        assert moving.n_frames == 3
+        assert moving.info["duration"] == 500
+        first, last = (np.asarray([moving.seek(k), moving.convert("RGB")][1]).astype(float) for k in (0, 2))
+    assert np.abs(first - last).max() > 50.0
+    with pytest.raises(InvalidValueError, match=r"\.gif or \.mp4"):
+        viewer.record(tmp_path / "path.avi")
+    if shutil.which("ffmpeg"):
+        film = viewer.record(tmp_path / "path.mp4", width=201, height=160).read_bytes()
+        assert film[4:8] == b"ftyp"
+
+
+@pytest.mark.browser
+def test_a_captured_image_is_an_array(browser: object, mechanism: Robot) -> None:
+    image = Viewer(mechanism, sliders=False).captureImage(200, 160)
+    assert image.shape == (160, 200, 3)
+    assert np.all(image[:3, :3] > 245)
+    assert image.std() > 10.0
+
+
+def test_a_solved_pose_is_displayed(mechanism: Robot) -> None:
+    viewer = Viewer(mechanism, sliders=False)
+    poses = mechanism.solve([[0.0, 0.0, 0.48], [0.1, 0.0, 0.5]])
+    viewer.display(poses[1])
+    np.testing.assert_allclose(mechanism.at([viewer.configuration.q])[0].coordinates, [0.1, 0.0, 0.5], atol=1e-12)
+    with pytest.raises(InvalidValueError, match="2 poses"):
+        viewer.display(poses)
 
 
 def test_sliders_go_on_after_a_path_that_cannot_be_drawn(mechanism: Robot) -> None:
