@@ -14,7 +14,7 @@ from pm3dof_pin.kinematics.robot import Robot
 
 # as in pm3dof_pin.export.formats and .controllers, which are not imported just for the help
 _Format: TypeAlias = Literal["drake", "gepetto", "mjcf", "ros", "sdf", "urdf"]
-_Controller: TypeAlias = Literal["c"]
+_Controller: TypeAlias = Literal["c", "linuxcnc"]
 
 
 def export(
@@ -89,6 +89,6 @@ def _export_controller(
         if known.learned is not None and known.learned.inputs.conditions:
             conditions = ", ".join(f"{name} = {value:.4g}" for name, value in known.learned.inputs.middle().items())
             message(f"pm3dof: the table of learned deviations is for {conditions}, the middle of the measured range")
-    if name != "c" and (options.pop("header_only") or options.pop("real") != "double"):
+    if name != "c" and (options["header_only"] or options["real"] != "double"):
         raise typer.BadParameter(f"--header-only and --float are for c, not for {name}")
     return export_controller(robot, name, folder, **options)

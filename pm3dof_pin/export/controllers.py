@@ -10,14 +10,18 @@ from pm3dof_pin.arrays import require_choice
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller, Deviations
+from pm3dof_pin.export.linuxcnc import linuxcnc_files
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs.c import Real
 
-ControllerName: TypeAlias = Literal["c"]
+ControllerName: TypeAlias = Literal["c", "linuxcnc"]
 """Name of a controller; "c" is C99 for any of them."""
 
-_WRITERS: Mapping[ControllerName, Callable[[Controller], dict[str, str]]] = {"c": c_files}
+_WRITERS: Mapping[ControllerName, Callable[[Controller], dict[str, str]]] = {
+    "c": c_files,
+    "linuxcnc": linuxcnc_files,
+}
 
 
 def export_controller(
