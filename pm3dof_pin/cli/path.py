@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
 
 from pm3dof_pin.calibration.folder import read_compensation
-from pm3dof_pin.cli.options import Json, Payload, RobotErrorsOptions, finite_number
+from pm3dof_pin.cli.options import Json, Payload, RobotErrorsOptions, finite_number, numbers_by_name
 from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, progress_bar, table_lines
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism.tool_components import rotation_of_angles
+from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.mechanism.tool_components import rotation_of_angles, tool_components
+from pm3dof_pin.paths.controller import controller_limits
+from pm3dof_pin.paths.cutting import Milling
 from pm3dof_pin.paths.evaluation import TOLERANCE, PathOptions, evaluate_path
 from pm3dof_pin.paths.follower import with_tool_length
+from pm3dof_pin.paths.placement import place_path
 from pm3dof_pin.paths.planning import MotionLimits
-from pm3dof_pin.paths.tool_path import read_path
+from pm3dof_pin.paths.summary import DRIVE_HEADER, WORST_HEADER, drive_rows, worst_rows
+from pm3dof_pin.paths.tool_path import ToolPath, read_path
 from pm3dof_pin.paths.writing import write_path
 from pm3dof_pin.typing import Matrix
 
@@ -51,15 +59,42 @@ def path(
         typer.Option(metavar="FX FY FZ", help="Force on the tool point during cutting moves, base axes [N]."),
     ] = None,
     payload: Payload = 0.0,
+    milling: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=NUMBER,..",
+            help="Cutting force by the feed: tangential, radial [N/m^2], depth, width, diameter [m], rpm, teeth, and "
+            "climb=1 for climb milling.",
+        ),
+    ] = None,
+    place: Annotated[
+        Literal["stiffest", "accurate", "fastest"] | None,
+        typer.Option(help="Search the place of the workpiece where the path is best; --workpiece is where it starts."),
+    ] = None,
+    turn: Annotated[bool, typer.Option("--turn", help="With --place: the workpiece may be turned about z.")] = False,
+    controller: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="INI file of a LinuxCNC machine, for its limits.")
+    ] = None,
     feed: Annotated[
         float | None, typer.Option(metavar="V", help="Feed instead of the program's [m/s].", parser=finite_number)
     ] = None,
     rapid: Annotated[
-        float, typer.Option(metavar="V", help="Feed of rapids, and where none is given [m/s].", parser=finite_number)
-    ] = MotionLimits.rapid,
+        float | None,
+        typer.Option(
+            metavar="V",
+            help=f"Feed of rapids, and if none is given [m/s]; {MotionLimits.rapid:g} or the controller's by default.",
+            parser=finite_number,
+        ),
+    ] = None,
     acceleration: Annotated[
-        float, typer.Option(metavar="A", help="Greatest acceleration along the path [m/s^2].", parser=finite_number)
-    ] = MotionLimits.acceleration,
+        float | None,
+        typer.Option(
+            metavar="A",
+            help=f"Greatest acceleration along the path [m/s^2]; {MotionLimits.acceleration:g} or the controller's by "
+            "default.",
+            parser=finite_number,
+        ),
+    ] = None,
     tolerance: Annotated[
         float, typer.Option(metavar="E", help="Greatest deviation between points [m].", parser=finite_number)
     ] = TOLERANCE,
@@ -67,7 +102,7 @@ def path(
         float | None,
         typer.Option(
             metavar="D",
-            help="Greatest distance of points [m]; 1/50 of the robot's size by default.",
+            help="Greatest distance of points [m]; 1/50 of the robot's size or 1/500 of the path by default.",
             parser=finite_number,
         ),
     ] = None,
@@ -80,6 +115,9 @@ def path(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="All points: CSV, or NetCDF if the name ends in .nc.")
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A page with the summary and pictures (HTML).")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Judge a tool path before it is run: limits, speeds, forces, deflection, accuracy; angles in degrees, metres.
@@ -89,12 +127,18 @@ def path(
     errors = which.load_errors()
     robot = errors.robot
     placements = dict(map(_placement, workpiece or ()))
-    has_tool = tool_length != 0.0
-    tool_path = read_path(with_tool_length(robot, tool_length), file, workpiece=placements, has_tool=has_tool)
+    pointed = with_tool_length(robot, tool_length)
+
+    def read(workpiece: Mapping[int, Matrix]) -> ToolPath:
+        return read_path(pointed, file, workpiece=workpiece, has_tool=tool_length != 0.0)
+
+    tool_path = read(placements)
     known = None if calibration is None else read_compensation(calibration)
     if known is not None and known.errors.robot.name != robot.name:
         raise InvalidValueError("--calibration", calibration, f"a calibration of {robot.name}")
-    limits = MotionLimits(acceleration=acceleration, rapid=rapid, feed=feed)
+    limits = MotionLimits() if controller is None else controller_limits(robot, controller)
+    given: dict[str, Any] = {"acceleration": acceleration, "rapid": rapid, "feed": feed}
+    limits = replace(limits, **{name: value for name, value in given.items() if value is not None})
     options = PathOptions(
         tool_length=tool_length,
         table=[name.strip() for name in table.split(",") if name.strip()],
@@ -102,18 +146,34 @@ def path(
         tolerance=tolerance,
         spacing=spacing,
         force=force,
+        milling=_milling(milling),
         payload=payload,
         large=large,
         errors=errors if errors.file is not None else None,
         calibration=known,
     )
+    placement = None
+    if place is not None:
+        placement = place_path(robot, tool_path, place, options, turn=turn)
+        tool_path = read(placement.workpiece)
     found = evaluate_path(robot, tool_path, options)
     files = []
     with progress_bar("points") as progress:
         if out is not None:
             files.append(write_path(found, out, progress=progress))
     summary = {"file": str(file)} | found.summary
-    print_result(summary, _lines(summary), as_json=as_json, files=files)
+    lines = _lines(summary)
+    if placement is not None:
+        unit = placement.unit.replace("/", "_")
+        zeros = {f"G{number}": _components(zero) for number, zero in placement.workpiece.items()}
+        summary["place"] = {"goal": placement.goal, f"cost_{unit}": placement.cost, "workpiece": zeros}
+        summary["place"][f"cost_before_{unit}"] = placement.cost_before
+        lines = [f"placed: --workpiece {_option(name, zero)}" for name, zero in zeros.items()] + lines
+    if report is not None:
+        from pm3dof_pin.paths.report import path_report
+
+        files.append(write_text_atomically(report, path_report(found, file.name, placement)))
+    print_result(summary, lines, as_json=as_json, files=files)
     if not summary["within_limits"]:
         beyond = summary["points"] - summary["points_within_limits"]
         words = ", ".join(summary["broken_limits"]) or "another branch"
@@ -135,6 +195,33 @@ def _placement(text: str) -> tuple[int, Matrix]:
     return int(system), placement
 
 
+def _milling(text: str | None) -> Milling | None:
+    """Read NAME=NUMBER,.. of a milling cut."""
+    numbers = numbers_by_name("--milling", text)
+    if numbers is None:
+        return None
+    names = [entry.name for entry in fields(Milling)]
+    needed = [entry.name for entry in fields(Milling) if entry.default is MISSING]
+    if not isinstance(numbers, dict) or not set(needed) <= set(numbers) <= set(names):
+        raise typer.BadParameter(f"--milling {text}: expected {', '.join(f'{name}=' for name in needed)}")
+    return Milling(**numbers)
+
+
+def _components(placement: Matrix) -> dict[str, float]:
+    """Return a placement for JSON."""
+    return {
+        f"{name}_{unit_of(name)}": float(value)
+        for name, value in zip(TOOL_COMPONENTS, tool_components(placement), strict=True)
+    }
+
+
+def _option(name: str, zero: Mapping[str, float]) -> str:
+    """Return a placement as an option [m, deg]."""
+    *_, rx, ry, rz = (round(math.degrees(value), 9) + 0.0 for value in zero.values())
+    numbers = [round(value, 9) + 0.0 for value in list(zero.values())[:3]] + ([rx, ry, rz] if rx or ry or rz else [])
+    return f"{name}=" + ",".join(f"{number:.9g}" for number in numbers)
+
+
 def _lines(summary: dict[str, Any]) -> list[str]:
     """Return the summary as text."""
     lines = [
@@ -142,42 +229,6 @@ def _lines(summary: dict[str, Any]) -> list[str]:
         f"{summary['time_s']:.2f} s, {summary['energy_J']:.4g} J",
         "",
     ]
-    rows = []
-    for key, (words, factor, unit) in _WORDS.items():
-        if key in summary:
-            rows.append([words, f"{factor * summary[key]:.4g}", unit, str(summary["lines"][key])])
-    lines += [line.rstrip() for line in table_lines(["worst along the path", "", "", "line"], rows)]
-    drives = [_drive_row(drive) for drive in summary["drives"]]
-    header = ["drive", "rms force", "peak force", "", "peak speed", "", "peak acceleration", "", "peak power [W]"]
-    return [*lines, "", *(line.rstrip() for line in table_lines(header, drives))]
-
-
-_WORDS = {
-    "least_limit_margin": ("limit margin, of the joint's range", 1.0, ""),
-    "least_singularity_distance": ("distance to a singularity", 1.0, ""),
-    "greatest_feed_m_s": ("feed", 6e4, "mm/min"),
-    "least_feed_ceiling_m_s": ("least feed ceiling by the drives", 6e4, "mm/min"),
-    "greatest_deflection_m": ("deflection", 1e6, "µm"),
-    "least_stiffness_along_N_m": ("stiffness along the feed", 1e-6, "N/µm"),
-    "least_stiffness_across_N_m": ("stiffness across the feed", 1e-6, "N/µm"),
-    "greatest_expected_error_m": ("expected error, rms", 1e6, "µm"),
-    "greatest_error_95_percent_m": ("error with 95 % probability", 1e6, "µm"),
-    "greatest_error_bound_m": ("error, at most", 1e6, "µm"),
-    "lowest_frequency_Hz": ("lowest natural frequency", 1.0, "Hz"),
-}
-
-
-def _drive_row(drive: dict[str, Any]) -> list[str]:
-    force = "N_m" if "rms_force_N_m" in drive else "N"
-    length = "m" if "peak_speed_m_s" in drive else "rad"
-    return [
-        drive["drive"],
-        f"{drive[f'rms_force_{force}']:.4g}",
-        f"{drive[f'peak_force_{force}']:.4g}",
-        force.replace("_", " "),
-        f"{drive[f'peak_speed_{length}_s']:.4g}",
-        f"{length}/s",
-        f"{drive[f'peak_acceleration_{length}_s2']:.4g}",
-        f"{length}/s^2",
-        f"{drive['peak_power_W']:.4g}",
-    ]
+    rows = worst_rows(summary)
+    lines += [line.rstrip() for line in table_lines(WORST_HEADER, rows)]
+    return [*lines, "", *(line.rstrip() for line in table_lines(DRIVE_HEADER, drive_rows(summary)))]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -28,6 +29,7 @@ from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.kinematics.singularity_measures import singularity_measures
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.mechanism.loads import Payloads
+from pm3dof_pin.paths.cutting import Milling
 from pm3dof_pin.paths.follower import Follower, with_tool_length
 from pm3dof_pin.paths.planning import (
     MotionLimits,
@@ -45,6 +47,8 @@ from pm3dof_pin.typing import Array, Matrix, Vector
 TOLERANCE = 1e-5
 """Greatest deviation from the path between points by default [m]."""
 
+_THINNED = 4000  # points
+
 Columns = dict[str, Array]
 """Columns of numbers by name, shape=(n,) each."""
 
@@ -57,12 +61,12 @@ class PathOptions:
     table: Sequence[str] = ()  #: directions x, y or z in which a table moves the workpiece
     limits: MotionLimits = field(default_factory=MotionLimits)  #: of the motion in time
     tolerance: float = TOLERANCE  #: greatest deviation between points [m]
-    spacing: float | None = None  #: greatest distance of points [m]; a fiftieth of the characteristic length if None
+    spacing: float | None = (
+        None  #: greatest distance of points [m]; see :func:`~pm3dof_pin.paths.planning.choose_points`
+    )
     #: cutting force on the tool point during moves with a feed, base axes, shape=(3,) [N]
     force: Sequence[float] | None = None
-    #: cutting force by the feed: function from the feed [m/s] and its direction, shape=(n,) and (n, 3), to forces on
-    #: the tool point, shape=(n, 3) [N]; see :mod:`pm3dof_pin.paths.cutting`
-    cutting: Callable[[Vector, Matrix], Matrix] | None = None
+    milling: Milling | None = None  #: cutting force by the feed, during moves with one
     payload: float = 0.0  #: mass at the tool frame [kg]
     large: bool = False  #: whether deflections are those of the loaded equilibrium, pose by pose
     errors: GeometricErrors | None = None  #: errors of the robot, for the expected error
@@ -74,6 +78,7 @@ class PathEvaluation:
 
     Attributes:
         robot: the robot, with its tool at the tool point.
+        bare: the robot as given.
         path: the path.
         options: how it is run and judged.
         timed: the points and the motion in time.
@@ -81,12 +86,13 @@ class PathEvaluation:
 
     def __init__(self, robot: Robot, path: ToolPath, options: PathOptions) -> None:
         self.path, self.options = path, options
-        self._bare = robot
+        self.bare = robot
         pointed = with_tool_length(robot, options.tool_length)
         self._follower = Follower(pointed, path, options.table)
         self.robot = self._follower.robot
         self._payloads: Payloads = {robot.frame_name(): options.payload} if options.payload else {}
         self._summary: dict[str, Any] | None = None
+        self._thinned: Columns | None = None
         points = choose_points(self._follower, options.tolerance, options.spacing)
         self.timed: TimedPoints = plan_motion(self._follower, points, options.limits, options.tolerance)
 
@@ -113,6 +119,7 @@ class PathEvaluation:
         energy, before = 0.0, None
         summary, lasting = PathSummary(self.robot, self.path.lines), self.timed.speeds.duration
         weights = 0.5 * (lasting + np.append(lasting[1:], 0.0))
+        every, thinned = -(-len(self) // _THINNED), []
         for part in self.points.blocks():
             columns, work = self._block(part)  # places and forces of the drives' joints
             work = work if before is None else np.concatenate([before, work], axis=1)
@@ -121,8 +128,11 @@ class PathEvaluation:
             columns["energy_J"] = np.append(0.0, total) if before is None else total
             energy, before = float(columns["energy_J"][-1]), work[:, -1:]
             summary.add(columns, weights[part])
+            first = -part.start % every
+            thinned.append({name: values[first::every] for name, values in columns.items()})
             yield columns
         self._summary = summary.as_data()
+        self._thinned = {name: np.concatenate([some[name] for some in thinned]) for name in thinned[0]}
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -131,6 +141,14 @@ class PathEvaluation:
             pass
         assert self._summary is not None
         return self._summary
+
+    @property
+    def thinned(self) -> Columns:
+        """All columns of at most a few thousand points, evenly chosen, for pictures."""
+        for _ in self.blocks() if self._thinned is None else ():
+            pass
+        assert self._thinned is not None
+        return self._thinned
 
     @cached_property
     def _drive_names(self) -> list[str]:
@@ -172,7 +190,7 @@ class PathEvaluation:
         }
         if path.times is not None:
             columns["feed_m_s"] = np.linalg.norm(tool[:, :3] * v, axis=1)
-        wrenches = self._wrenches(part, columns["feed_m_s"], tool)
+        wrenches = self._wrenches(part, columns["feed_m_s"], tool, poses.rotations)
         motions = drive_motions(robot, poses)
         forces = motion_forces(
             robot, poses, motions, velocities, accelerations, payloads=self._payloads, wrenches=wrenches
@@ -231,7 +249,7 @@ class PathEvaluation:
         measures = singularity_measures(self.robot, poses, self._mobility, on_failure="nan")
         return np.asarray(measures.min(axis=1, initial=np.inf))
 
-    def _wrenches(self, part: slice, feed: Vector, tool: Matrix) -> Matrix:
+    def _wrenches(self, part: slice, feed: Vector, tool: Matrix, rotations: Array) -> Matrix:
         """Return the wrenches on the tool point, world axes, shape=(n, 6) [N, N m]."""
         path, moves, shares = self.path, self.points.moves[part], self.points.shares[part]
         wrenches = np.zeros((len(moves), 6))
@@ -241,10 +259,11 @@ class PathEvaluation:
         cuts = ~path.rapid[moves]
         if self.options.force is not None:
             wrenches[cuts, :3] += finite_array("force", self.options.force, (3,))
-        if self.options.cutting is not None:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                direction = np.nan_to_num(tool[:, :3] / np.linalg.norm(tool[:, :3], axis=1, keepdims=True))
-            wrenches[cuts, :3] += self.options.cutting(feed[cuts], direction[cuts])
+        if self.options.milling is not None:
+            sizes = np.linalg.norm(tool[:, :3], axis=1, keepdims=True)
+            direction = np.divide(tool[:, :3], sizes, out=np.zeros((len(moves), 3)), where=sizes > 0.0)
+            spindle = -math.copysign(1.0, self.options.tool_length) * np.nan_to_num(rotations[:, :, 2])
+            wrenches[cuts, :3] += self.options.milling(feed[cuts], direction[cuts], spindle[cuts])
         return wrenches
 
     def _elastic(self, poses: Poses, motions: DriveMotions, wrenches: Matrix, tool: Matrix) -> Columns:

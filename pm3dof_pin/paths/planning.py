@@ -18,7 +18,7 @@ BLOCK = 16384
 
 _MAX_PARTS = 100_000  # of one move
 _NEAR = 1e-5  # share of a move that gives the direction of its end
-_SPACINGS = 50.0  # of points by default, per characteristic length
+_SPACINGS, _LEAST_POINTS = 50.0, 500.0  # of points by default: per characteristic length, and of the whole path
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,8 @@ def choose_points(follower: Follower, tolerance: float, spacing: float | None = 
     Args:
         follower: the robot on the path.
         tolerance: greatest deviation [m], of angles times the characteristic length.
-        spacing: greatest distance of points [m]; by default a fiftieth of the characteristic length.
+        spacing: greatest distance of points [m]; by default a fiftieth of the characteristic length, or a 500th of the
+            path if that is less.
 
     Raises:
         UnreachablePoseError: the path sets components of the placement that the robot cannot give.
@@ -87,9 +88,10 @@ def choose_points(follower: Follower, tolerance: float, spacing: float | None = 
         if value is not None and not (np.isfinite(value) and value > 0.0):
             raise InvalidValueError(name, value, "a positive length")
     path, robot = follower.path, follower.robot
-    spacing = follower.unit / _SPACINGS if spacing is None else spacing
     count = len(path)
     sizes = follower.sizes(np.arange(count))
+    if spacing is None:
+        spacing = min(follower.unit / _SPACINGS, float(sizes.sum()) / _LEAST_POINTS) or follower.unit
     parts = np.ones(count, dtype=np.int64)
     scale = follower.unit / robot.velocity_scale
     for first in range(0, count, BLOCK):

@@ -137,3 +137,43 @@ class PathSummary:
         found[f"effort_limit_{unit}"] = effort if effort > 0.0 else None
         found["driving_energy_J"] = float(self._driving[k])
         return found
+
+
+WORST_HEADER = ("worst along the path", "", "", "line")
+DRIVE_HEADER = ("drive", "rms force", "peak force", "", "peak speed", "", "peak acceleration", "", "peak power [W]")
+
+_WORDS = {
+    "least_limit_margin": ("limit margin, of the joint's range", 1.0, ""),
+    "least_singularity_distance": ("distance to a singularity", 1.0, ""),
+    "greatest_feed_m_s": ("feed", 6e4, "mm/min"),
+    "least_feed_ceiling_m_s": ("least feed ceiling by the drives", 6e4, "mm/min"),
+    "greatest_deflection_m": ("deflection", 1e6, "µm"),
+    "least_stiffness_along_N_m": ("stiffness along the feed", 1e-6, "N/µm"),
+    "least_stiffness_across_N_m": ("stiffness across the feed", 1e-6, "N/µm"),
+    "greatest_expected_error_m": ("expected error, rms", 1e6, "µm"),
+    "greatest_error_95_percent_m": ("error with 95 % probability", 1e6, "µm"),
+    "greatest_error_bound_m": ("error, at most", 1e6, "µm"),
+    "lowest_frequency_Hz": ("lowest natural frequency", 1.0, "Hz"),
+}
+
+
+def worst_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Return rows of text about the worst points: what, value, unit, line."""
+    return [
+        [words, f"{factor * summary[key]:.4g}", unit, str(summary["lines"][key])]
+        for key, (words, factor, unit) in _WORDS.items()
+        if key in summary
+    ]
+
+
+def drive_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Return rows of text about the drives, in the order of :data:`DRIVE_HEADER`."""
+    rows = []
+    for drive in summary["drives"]:
+        force = "N_m" if "rms_force_N_m" in drive else "N"
+        length = "m" if "peak_speed_m_s" in drive else "rad"
+        numbers = [f"rms_force_{force}", f"peak_force_{force}", f"peak_speed_{length}_s"]
+        texts = [f"{drive[key]:.4g}" for key in (*numbers, f"peak_acceleration_{length}_s2", "peak_power_W")]
+        texts[2:2], texts[4:4], texts[6:6] = [force.replace("_", " ")], [f"{length}/s"], [f"{length}/s^2"]
+        rows.append([drive["drive"], *texts])
+    return rows

@@ -102,10 +102,6 @@ class ToolPath:
                 found[rows] = in_machine(placement, found[rows], turns=self.turns)
         return found
 
-    def placed(self, placements: Systems) -> ToolPath:
-        """Return the path with coordinate systems moved to other placements in the base, by number."""
-        return ToolPath(**{**vars_of(self), "placements": {**self.placements, **placements}})
-
     @cached_property
     def _spline(self) -> Any:
         """Interpolant of a path with times: a cubic spline through all numbers."""
@@ -115,11 +111,6 @@ class ToolPath:
 
         points = np.vstack([self.start[:1], self.end])
         return CubicSpline(self.times, points) if np.isfinite(points).all() else None
-
-
-def vars_of(path: ToolPath) -> dict[str, Any]:
-    """Return the arguments that make a path."""
-    return {name: getattr(path, name) for name in ToolPath.__dataclass_fields__}
 
 
 def read_path(

@@ -1,0 +1,153 @@
+"""Placements against a search by brute force, milling forces against integrals, limits of a controller, the report."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import pm3dof_pin as pm
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, UnreachablePoseError
+from pm3dof_pin.paths.controller import controller_limits
+from pm3dof_pin.paths.cutting import Milling
+from pm3dof_pin.paths.evaluation import PathOptions, evaluate_path
+from pm3dof_pin.paths.placement import place_path
+from pm3dof_pin.paths.planning import MotionLimits
+from pm3dof_pin.paths.report import path_report
+from pm3dof_pin.paths.tool_path import read_path
+
+POCKET = "G21 G64 P0.02\nG0 Z2\nG1 Z0 F200\nX4 F600\nG3 X4 I-4\nG1 X0\nG0 Z2\nM2\n"
+INI = "[TRAJ]\nLINEAR_UNITS = mm\nMAX_LINEAR_VELOCITY = 30\nMAX_LINEAR_ACCELERATION = 200 # mm/s^2\n"
+INI += "".join(f"[JOINT_{k}]\nMAX_VELOCITY = 40\nMAX_ACCELERATION = 300\n" for k in range(6))
+
+
+def test_placement_of_a_tripods_workpiece_is_that_of_a_scan(tmp_path: Path) -> None:
+    robot = pm.load("pm3dof")
+    file = tmp_path / "pocket.ngc"
+    file.write_text(POCKET)
+    found = place_path(
+        robot, read_path(robot, file), "stiffest", PathOptions(table=("x", "y"), force=[0.0, 0.0, 100.0])
+    )
+    assert found.variables == ("z",)
+    heights = np.linspace(0.38, 0.58, 401)
+    poses = robot.solve(np.stack([np.zeros(401), np.zeros(401), heights], axis=1), on_failure="nan")
+    vertical = 100.0 * np.linalg.norm(pm.compliance(robot, poses, on_failure="nan")[:, :3, 2], axis=1)
+    legal = poses.within_limits & (np.interp(heights + 0.002, heights, poses.within_limits) == 1.0)
+    # the path is 2 mm high; its worst point is at one end of it or the other
+    worst = np.fmax(vertical, np.interp(heights + 0.002, heights, vertical))
+    assert found.cost == pytest.approx(np.nanmin(np.where(legal, worst, np.nan)), rel=5e-3)
+    assert np.isnan(found.cost_before)
+
+
+@pytest.mark.parametrize("goal", ["stiffest", "accurate", "fastest"])
+def test_placed_path_is_legal_and_no_worse(goal: Any, tmp_path: Path) -> None:
+    errors = pm.GeometricErrors.load("hexapod")
+    robot, file = errors.robot, tmp_path / "pocket.ngc"
+    file.write_text(POCKET)
+    zero = np.eye(4)
+    zero[:3, 3] = 0.003, -0.002, 0.134
+    options = PathOptions(errors=errors)
+    found = place_path(robot, read_path(robot, file, workpiece={54: zero}), goal, options)
+    assert found.cost <= found.cost_before
+    placed = evaluate_path(robot, read_path(robot, file, workpiece=found.workpiece), options)
+    assert placed.summary["within_limits"]
+    if goal == "accurate":
+        cutting = ~placed.path.rapid[placed.points.moves]
+        assert placed.columns["expected_error_m"][cutting].max() == pytest.approx(found.cost, rel=1e-2)
+
+
+def test_what_cannot_be_placed_is_refused(tmp_path: Path) -> None:
+    robot, file = pm.load("hexapod"), tmp_path / "large.ngc"
+    file.write_text("G21 G1 X0 F100\nX500\nM2\n")
+    with pytest.raises(UnreachablePoseError, match="no placement of the path is within all limits"):
+        place_path(robot, read_path(robot, file))
+    with pytest.raises(InvalidValueError, match="has no error file"):
+        place_path(robot, read_path(robot, file), "accurate")
+    table = tmp_path / "path.csv"
+    table.write_text("x_m,y_m,z_m,rx_rad,ry_rad,rz_rad\n0,0,.135,0,0,0\n.001,0,.135,0,0,0\n")
+    with pytest.raises(InvalidValueError, match="one of the robot's coordinates"):
+        place_path(robot, read_path(robot, table))
+
+
+@pytest.mark.parametrize("climb", [0.0, 1.0])
+def test_milling_forces_are_means_over_a_turn(climb: float) -> None:
+    cut = Milling(
+        tangential=700e6, radial=200e6, depth=1e-3, width=2.5e-3, diameter=8e-3, rpm=9000, teeth=3, climb=climb
+    )
+    immersion = np.arccos(1.0 - 2.0 * 2.5 / 8.0)
+    ends = (np.pi - immersion, np.pi) if climb else (0.0, immersion)
+    feed = 0.02
+    chip = feed / (3 * 150.0)
+
+    def mean(part: Callable[[float], float]) -> float:
+        return 3.0 / (2.0 * np.pi) * quad(part, *ends)[0]
+
+    def tangential(p: float) -> float:
+        return 700e6 * 1e-3 * chip * np.sin(p)
+
+    def radial(p: float) -> float:
+        return 200e6 * 1e-3 * chip * np.sin(p)
+
+    # the tooth is at the angle p clockwise from the left of the feed; the work pushes it back and towards the axis
+    along = mean(lambda p: -tangential(p) * np.cos(p) - radial(p) * np.sin(p))
+    left = mean(lambda p: tangential(p) * np.sin(p) - radial(p) * np.cos(p))
+    found = cut(np.array([feed]), np.array([[0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))[0]
+    np.testing.assert_allclose(found, [-left, along, 0.0], rtol=1e-9, atol=1e-12)
+    with pytest.raises(InvalidValueError, match="at most"):
+        Milling(tangential=1e8, radial=1e8, depth=1e-3, width=9e-3, diameter=8e-3, rpm=9000, teeth=3)
+
+
+def test_limits_of_a_linuxcnc_machine(tmp_path: Path) -> None:
+    robot, file = pm.load("hexapod"), tmp_path / "machine.ini"
+    file.write_text(INI)
+    limits = controller_limits(robot, file, MotionLimits(feed=0.01))
+    assert (limits.rapid, limits.acceleration, limits.feed) == pytest.approx((0.03, 0.2, 0.01))
+    assert limits.drive_speed == pytest.approx(np.full(6, 0.04))
+    assert limits.drive_acceleration == pytest.approx(np.full(6, 0.3))
+    file.write_text(INI.replace("[JOINT_5]", "[JOINT_7]"))
+    with pytest.raises(DescriptionError, match=r"\[JOINT_5\]"):
+        controller_limits(robot, file)
+    file.write_text(INI.replace("= 200 # mm/s^2", "= fast"))
+    with pytest.raises(DescriptionError, match="is 'fast', expected a positive number"):
+        controller_limits(robot, file)
+
+
+def test_command_writes_points_report_and_placement(run: Callable[..., Any], tmp_path: Path) -> None:
+    import json
+
+    (tmp_path / "pocket.ngc").write_text(POCKET)
+    (tmp_path / "machine.ini").write_text(INI)
+    words = "pocket.ngc --robot hexapod --workpiece 0,0,0.134 --controller machine.ini --place stiffest --json "
+    words += "--milling tangential=7e8,radial=2e8,depth=1e-3,width=4e-3,diameter=8e-3,rpm=8000,teeth=2 "
+    words += "--out points.nc --report path.html"
+    result = run("path", *words.split(), cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    answer = json.loads(result.stdout)
+    assert answer["robot"] == "hexapod"
+    assert answer["within_limits"] is True
+    assert answer["place"]["goal"] == "stiffest"
+    assert answer["files"] == ["points.nc", "path.html"]
+    page = (tmp_path / "path.html").read_text()
+    assert page.count("data:image/svg+xml;base64,") == 3
+    beyond = run("path", "pocket.ngc", "--robot", "hexapod", "--workpiece", "0.02,0,0.134", cwd=tmp_path)
+    assert beyond.returncode == 1
+    assert re.search(r"points break a limit \(strut_joint\), first in line \d", beyond.stderr)
+    (tmp_path / "bad.ngc").write_text("G21\nG99 X1\n")
+    refused = run("path", "bad.ngc", "--robot", "hexapod", cwd=tmp_path)
+    assert refused.returncode == 1
+    assert refused.stderr.strip().endswith("bad.ngc: line 2: G99 is not understood")
+    wrong = run("path", "pocket.ngc", "--robot", "hexapod", "--workpiece", "1,2", cwd=tmp_path)
+    assert wrong.returncode == 2
+
+
+def test_report_escapes_names(tmp_path: Path) -> None:
+    robot, file = pm.load("pm3dof"), tmp_path / "path.csv"
+    file.write_text("theta_x_deg,theta_y_deg,z_e_m\n0,0,.48\n5,0,.48\n")
+    page = path_report(evaluate_path(robot, read_path(robot, file)), "<b>&path")
+    assert "<b>&path" not in page
+    assert "&lt;b&gt;&amp;path on pm3dof" in page
