@@ -21,7 +21,7 @@ from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.typing import Vector
 
 Unit: TypeAlias = Literal[
-    "1", "m", "kg", "kg m^2", "rad", "m/s", "rad/s", "N", "N/m", "N m^2", "Pa", "kg/m^3", "mm", "deg"
+    "1", "m", "kg", "kg m^2", "rad", "m/s", "rad/s", "N", "N m", "N/m", "N m/rad", "N m^2", "Pa", "kg/m^3", "mm", "deg"
 ]
 
 ON_PLATFORM = "platform"
@@ -42,6 +42,7 @@ _BOUNDS = {
     "kg": MASS,
     "kg m^2": MOMENT,
     "N/m": STIFFNESS,
+    "N m/rad": STIFFNESS,
     "N m^2": STIFFNESS,
     "Pa": STIFFNESS,
     "kg/m^3": NOT_NEGATIVE,

@@ -88,7 +88,7 @@ def robot_names() -> list[str]:
     Example:
         >>> import pm3dof_pin as pm
         >>> pm.robot_names()
-        ['hexapod', 'linear_delta', 'pm3dof', 'three_rps']
+        ['ankle_rus', 'ankle_spu', 'hexapod', 'linear_delta', 'pm3dof', 'three_rps']
     """
     return sorted(
         folder.name.removesuffix(DESCRIPTION_SUFFIX) for folder in robots_directory().glob(f"*{DESCRIPTION_SUFFIX}")

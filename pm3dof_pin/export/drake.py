@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+from pm3dof_pin.description.expand import DRAKE_NAMESPACE
 from pm3dof_pin.description.readers.urdf_loops import LOOP_TAGS
 from pm3dof_pin.export.plain_urdf import urdf_element
 from pm3dof_pin.export.robot_document import WORLD, RobotDocument
@@ -15,8 +16,7 @@ from pm3dof_pin.typing import Vector
 MESH_KINDS = (".obj", ".gltf", ".vtk")
 """Suffixes of the mesh files that Drake accepts as collision shapes; it fails on others."""
 
-_NAMESPACE = "http://drake.mit.edu"
-ElementTree.register_namespace("drake", _NAMESPACE)
+ElementTree.register_namespace("drake", DRAKE_NAMESPACE)
 
 _FOREIGN = tuple(tag.removeprefix("drake:") for tag in LOOP_TAGS)
 _BANNER = "{name} for Drake, generated from its description by `pm3dof export drake`. Edit that, not this file."
@@ -76,7 +76,7 @@ def _transmission(root: Element, joint: str) -> None:
 
 def _replace_foreign_elements(root: Element, robot: RobotDocument) -> None:
     """Replace what others have added to URDF for loops and couplings, which Drake does not read, or refuses."""
-    for element in [child for child in root if child.tag.removeprefix(f"{{{_NAMESPACE}}}") in _FOREIGN]:
+    for element in [child for child in root if child.tag.removeprefix(f"{{{DRAKE_NAMESPACE}}}") in _FOREIGN]:
         root.remove(element)
     links = {element.get("name") for element in root.findall("link")}
     for body in robot.description.bodies:
@@ -107,7 +107,7 @@ def _ball(root: Element, links: tuple[str, str], points: tuple[Vector, Vector]) 
 def _filter_groups(robot: RobotDocument) -> Iterator[Element]:
     group = "filter_group_of_{}"
     for link in dict.fromkeys(link for pair in robot.untouchable for link in pair):
-        element = Element(f"{{{_NAMESPACE}}}collision_filter_group", name=group.format(link))
+        element = Element(f"{{{DRAKE_NAMESPACE}}}collision_filter_group", name=group.format(link))
         _drake(element, "member", link=link)
         for one, other in robot.untouchable:
             if one == link:
@@ -116,4 +116,4 @@ def _filter_groups(robot: RobotDocument) -> Iterator[Element]:
 
 
 def _drake(parent: Element, tag: str, **attributes: str) -> Element:
-    return SubElement(parent, f"{{{_NAMESPACE}}}{tag}", attributes)
+    return SubElement(parent, f"{{{DRAKE_NAMESPACE}}}{tag}", attributes)

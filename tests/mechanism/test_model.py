@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -65,7 +66,14 @@ def _require_equal(model: pin.Model, reference: pin.Model) -> None:
 @pytest.mark.parametrize("name", [*robot_names(), *sorted(path.name for path in MACHINES.glob("*.urdf"))])
 def test_models_are_those_of_pinocchios_reader(name: str) -> None:
     path = find_robot(MACHINES / name if name.endswith(".urdf") else name).urdf
-    _require_equal(build_model(read_urdf(read_xml(path))), pin.buildModelFromUrdf(str(path)))
+    reference = pin.buildModelFromUrdf(str(path))
+    for transmission in ElementTree.parse(path).getroot().findall("transmission"):  # rotors, which it does not read
+        rotor = transmission.find("actuator/{http://drake.mit.edu}rotor_inertia")
+        if rotor is not None:
+            index = reference.joints[reference.getJointId(transmission.find("joint").get("name"))].idx_v
+            ratio = float(transmission.find("actuator/mechanicalReduction").text)
+            reference.armature[index] = float(rotor.get("value")) * ratio**2
+    _require_equal(build_model(read_urdf(read_xml(path))), reference)
 
 
 def test_every_joint_type_is_that_of_pinocchios_reader(tmp_path: Path) -> None:
