@@ -22,6 +22,7 @@ from pm3dof_pin.cli.poses import (
     read_table,
     write_batch,
 )
+from pm3dof_pin.cli.temperature_stream import compensate_warm
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.pose_file import readings
 from pm3dof_pin.kinematics.robot import Robot
@@ -68,6 +69,14 @@ def compensate(
         ),
     ] = None,
     wrench: Wrench = None,
+    temperatures: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|-",
+            help="Rows of poses, as in --poses, with columns rise_NAME_K: the temperature rise of a link, of a drive's "
+            "screw, or of `all`, since the calibration [K]. With -, rows of standard input are answered one by one.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compute commands that take the calibrated machine to one pose or many: angles in degrees, lengths in metres.
@@ -75,7 +84,7 @@ def compensate(
     Differences are motions of the drives. A pose that breaks a joint limit is still computed, with a message and exit
     status 1.
     """
-    chosen = PoseOptions(pose=at.pose, configuration=at.configuration, poses=poses, out=out)
+    chosen = PoseOptions(pose=at.pose, configuration=at.configuration, poses=poses, out=None if temperatures else out)
     given: dict[str, Array | float] = {
         **_conditions(condition or []),
         **dict(zip(WRENCH_COLUMNS, wrench or (), strict=False)),
@@ -89,6 +98,11 @@ def compensate(
         given |= _directions(approach, columns_of_approach)
     if robot is not None:
         require_calibration_of(_loaded(robot, machine), machine, calibration)
+    if temperatures is not None:
+        if given or approach or not chosen.is_empty:
+            raise typer.BadParameter("--temperatures holds the poses; expected no others, nor conditions or loads")
+        compensate_warm(known, temperatures, out, as_json=as_json, eta=known.eta)
+        return
     if chosen.is_empty:
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
     if chosen.poses is not None:

@@ -51,9 +51,9 @@ class Thermal(_Numbers, frozen=True):
     #: temperature along each screw as multiples of its rise, at increasing distances from its fixed bearing [m]: a
     #: gradient along the screw; uniform by default
     profile: tuple[Pair, ...] = ((0.0, 1.0),)
-    #: joints or frames at the ends of growing members, with their share of the rise; or one number for all of them, 1
-    #: for a uniformly warm machine. By default the ends of links, the first frame of each loop closure, at one half
-    members: dict[Name, float] | float | None = None
+    #: joints or frames at the ends of growing members, with their share of the rise; or one number for all of them: 1
+    #: for a uniformly warm machine, which scales
+    members: dict[Name, float] | float = 1.0
     #: one side of a bending member is up to this much colder or warmer than the other, in each of two directions
     #: across it [K]
     across_K: NotNegative = 0.5

@@ -48,9 +48,6 @@ CLASSES: tuple[ErrorClass, ...] = get_args(ErrorClass)
 MAX_VIBRATION = 3.0
 """Greatest vibration assumed in worst cases, in standard deviations, since normal numbers are unbounded."""
 
-LINKS_SHARE = 0.5
-"""Temperature rise of the links, as a fraction of the screws'."""
-
 _WARM = 10.0  # [K]: large against rounding in the closing of loops, small against expansion
 
 
@@ -122,9 +119,7 @@ class ErrorSources:
         """Thermal growth of the robot, as in simulated machines."""
         numbers, robot = self.numbers.thermal, self.robot
         shares = numbers.members
-        if shares is None:
-            shares = {loop.frame_a: LINKS_SHARE for loop in robot.closures}
-        elif not isinstance(shares, dict):
+        if not isinstance(shares, dict):
             shares = {p.place: shares for p in all_parameters(robot) if p.motion == "translation"}
         bearings = np.array(self.errors.fixed_bearings)
         together = ThermalGrowth(bearings, members=shares, expansion=numbers.expansion_per_K)

@@ -12,7 +12,6 @@ from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import GeometricErrors, beside_guideways
 from pm3dof_pin.errors.sensitivity import closable
-from pm3dof_pin.errors.source_errors import LINKS_SHARE
 from pm3dof_pin.errors.thermal_growth import ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import GuideWaviness
@@ -26,6 +25,10 @@ from pm3dof_pin.typing import Array
 
 WorldName = Literal["everything", "geometry"]
 WORLDS: tuple[WorldName, ...] = get_args(WorldName)
+
+_LINKS_SHARE = (
+    0.5  # of the screws' temperature rise, at the links, over a cold base: a machine that does not just scale
+)
 
 TEMPERATURE = "temperature_screws_K"
 """Column of the screws' temperature rise."""
@@ -72,7 +75,7 @@ class World:
             return cls(machine)
         # a member whose growth alone would strain the loops does not grow, since its neighbours grow too
         lengths = {p.place for p in truth.parameters if p.motion == "translation"}
-        links = {loop.frame_a: LINKS_SHARE for loop in robot.closures if loop.frame_a in lengths}
+        links = {loop.frame_a: _LINKS_SHARE for loop in robot.closures if loop.frame_a in lengths}
         machine = replace(
             machine,
             waviness=_waves_that_close(robot, GuideWaviness.random(len(robot.actuated_joints), generator)),

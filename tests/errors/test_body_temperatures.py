@@ -1,0 +1,62 @@
+"""Temperatures of bodies: uniform warming scales the machine, single bodies move it as their lengths do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pm3dof_pin as pm
+from pm3dof_pin.errors.body_temperatures import BodyTemperatures
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference
+from pm3dof_pin.exceptions import InvalidValueError
+
+ROBOTS = ("pm3dof", "hexapod", "linear_delta", "three_rps")
+EXPANSION = 11.5e-6
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("rise", [8.0, -10.0])
+def test_uniform_warming_scales(name: str, rise: float) -> None:
+    errors = GeometricErrors.load(name)
+    poses = pm.reachable_poses(errors.robot, 10, np.random.default_rng(0))
+    expected = np.array(poses.transforms)
+    expected[:, :3, 3] *= 1.0 + rise * EXPANSION
+    found = BodyTemperatures.from_errors(errors).poses(poses, {"all": rise})
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "linear_delta"])
+def test_corrections_take_the_warm_tool_back(name: str) -> None:
+    """What is left is what commands cannot reach: nothing of the six components that a hexapod's drives move."""
+    errors = GeometricErrors.load(name)
+    robot = errors.robot
+    poses = pm.reachable_poses(robot, 6, np.random.default_rng(1))
+    heat = BodyTemperatures.from_errors(errors)
+    rises = {"all": 4.0, heat.robot.actuated_joints[0]: 11.0}
+    corrected = robot.forward(poses.commands + heat.corrections(poses, rises), guess=poses.q)
+    before = pose_difference(poses.transforms, heat.poses(poses, rises))
+    after = pose_difference(poses.transforms, heat.poses(corrected, rises))
+    controlled = {"pm3dof": [2], "linear_delta": [0, 1, 2], "hexapod": [0, 1, 2, 3, 4, 5]}[name]
+    assert np.abs(before[:, controlled]).max() > 1e-6
+    scale = 1e-9 if name == "hexapod" else 2e-6
+    assert np.abs(after[:, controlled]).max() < scale
+
+
+def test_one_link_of_the_hexapod_lengthens() -> None:
+    """With its platform 10 K warmer, joints there move apart: against a description with these lengths."""
+    errors = GeometricErrors.load("hexapod")
+    warm, screws = BodyTemperatures.from_errors(errors).warmed({"platform": 10.0})
+    np.testing.assert_array_equal(screws, 0.0)
+    for frame in ("B1", "B4"):
+        before, after = (
+            robot.model.frames[robot.frame_id(frame)].placement.translation for robot in (errors.robot, warm)
+        )
+        np.testing.assert_allclose(after, before * (1.0 + 10.0 * EXPANSION), rtol=1e-14)
+
+
+def test_unknown_bodies_are_refused() -> None:
+    heat = BodyTemperatures.from_errors(GeometricErrors.load("pm3dof"))
+    with pytest.raises(InvalidValueError, match="spindle"):
+        heat.warmed({"spindle": 3.0})
+    assert {"all", "platform", "slider1_joint"} <= set(heat.names)
