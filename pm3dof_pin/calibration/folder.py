@@ -6,7 +6,8 @@
     nominal/             the robot as described: URDF, closures, error parameters
     calibrated/          the same with the identified parameters, for other programs (methods with "lm")
     report.html          made by :mod:`pm3dof_pin.calibration.report`
-    SHA256SUMS           checksums of all these: `sha256sum -c SHA256SUMS` verifies them
+    history.jsonl        what later checks found (:mod:`pm3dof_pin.calibration.recheck`)
+    SHA256SUMS           checksums of all these but the history: `sha256sum -c SHA256SUMS` verifies them
 
 The same measurements, method and seed give the same bytes.
 """
@@ -41,6 +42,8 @@ _SUMMARY = "calibration.yaml"
 _COMPENSATION = "compensation.json"
 MEASUREMENTS = "measurements.csv"
 REPORT = "report.html"
+HISTORY = "history.jsonl"
+"""What later checks found, one JSON object a line; kept when the folder is replaced."""
 
 ACCURACIES = {
     "tip_error_before_m": "as described",
@@ -89,6 +92,8 @@ def write_calibration(calibration: Fit, directory: Path | str, summary: Mapping[
         write_text_atomically(folder / REPORT, report)
         sums = "".join(f"{_sum(file)}  {file.relative_to(folder).as_posix()}\n" for file in _files(folder))
         write_text_atomically(folder / _SUMS, sums)
+        if (history := Path(directory) / HISTORY).is_file():
+            write_text_atomically(folder / HISTORY, read_text(history))
     return Path(directory)
 
 

@@ -41,6 +41,7 @@ COMMANDS = {
     "measure": ("measure", "Simulated measurements of a machine with errors"),
     "measurements": ("measurements", "Check a file of measurements, or join two"),
     "calibrate": ("calibrate", "Calibrate a machine from measurements"),
+    "recheck": ("recheck", "Whether a calibration still holds, from a few rows"),
     "compensate": ("compensate", "Commands that take a calibrated machine to a pose"),
     "export": ("export", "Files for MuJoCo, Drake, SDFormat, ROS and others"),
     "export serial": ("export_serial", "A robot without its loops, and the numbers to type into it"),

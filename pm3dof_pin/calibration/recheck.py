@@ -1,0 +1,249 @@
+"""Is a calibration still true? The last one as prior, and a few new rows.
+
+Three hypotheses explain the residuals r of the new rows about the calibrated machine, in units of their noise:
+
+    unchanged      r = N(0, V),  V = 1 + A P A^T + noise of what else the rows depend on + scatter,
+    re-zero        V + z^2 Z Z^T: the drives' zeros moved,
+    recalibrate    V + s^2 A T^2 A^T: parts moved, by s tolerances,
+
+with P the covariance of the calibration, A and Z the effects of parameters and zeros, T the tolerances. The sizes z
+and s are unknown: the likelihoods are averaged over them, uniform in the logarithm (H. Jeffreys, Theory of Probability,
+1939), and the hypotheses weighted equally. A hypothesis that more parameters could only fit better thus needs evidence.
+Mixed over hypotheses and sizes, the changes tell how far the tool is off if nothing is done, or only zeros are set.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import scipy.linalg
+import scipy.special
+
+from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.folder import HISTORY, read_compensation
+from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
+from pm3dof_pin.errors.command_correction import weighted_control
+from pm3dof_pin.errors.pose_error import tip_weights
+from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.files import read_text, write_text_atomically
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.measuring.measurements import Measurements, with_joints
+from pm3dof_pin.measuring.nuisances import Nuisances, datum_motions
+from pm3dof_pin.typing import Array
+
+Verdict = Literal["unchanged", "re-zero", "recalibrate"]
+
+_ZEROS = {"m": np.geomspace(3e-6, 3e-3, 13), "rad": np.geomspace(1e-5, 1e-1, 17)}
+"""Sizes of changes of zeros, by the unit of a drive [m, rad]."""
+_CHANGES = np.geomspace(0.3, 30.0, 9)  # sizes of other changes, in tolerances
+_UNLIKELY = 1e-3  # a verdict that the rows contradict with this probability does not stand
+_NOTICED = scipy.special.ndtri(0.95) + scipy.special.ndtri(0.975)  # standard errors that are noticed with 95 %
+_POSES = 200  # over which the tool is judged
+_LARGEST_SIGMA = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Recheck:
+    """Whether a calibration still holds, and what acting on either answer risks."""
+
+    verdict: Verdict  #: the most probable; "recalibrate" too if the rows contradict the others
+    probabilities: dict[Verdict, float]  #: of the three hypotheses, given the new rows
+    #: tip error that comes on top of what the calibration states, rms over the workspace, if nothing is done, and if
+    #: the zeros are set [m]
+    off_if_kept: float
+    off_if_zeroed: float
+    zeros: Array  #: what to add to the readings of the drives' joints to have their places, shape=(drives,) [m, rad]
+    zero_sigmas: Array  #: its standard deviation [m, rad]
+    detectable: Array  #: change of each zero that these rows show with 95 % probability, shape=(drives,) [m, rad]
+    rows: int  #: number of rows
+    contradiction: float  #: probability of residuals at least this large if the machine is unchanged
+
+    @property
+    def risk(self) -> float:
+        """Probability that the verdict is wrong."""
+        return 1.0 - self.probabilities[self.verdict]
+
+    def as_data(self) -> dict[str, Any]:
+        """Return everything as plain data; keys end in their unit."""
+        return {
+            "verdict": self.verdict,
+            "risk": self.risk,
+            "probabilities": dict(self.probabilities),
+            "tip_error_on_top_if_kept_m": self.off_if_kept,
+            "tip_error_on_top_if_zeroed_m": self.off_if_zeroed,
+            "zeros_m_rad": self.zeros.tolist(),
+            "zero_sigmas_m_rad": self.zero_sigmas.tolist(),
+            "detectable_zeros_m_rad": self.detectable.tolist(),
+            "rows": self.rows,
+            "probability_of_residuals_if_unchanged": self.contradiction,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """A hypothesis with a size: standard deviations of the zeros and of the parameters' changes."""
+
+    verdict: Verdict
+    sigmas: Array
+    weight: float
+
+
+def recheck(calibration: Compensation | Path | str, measurements: Measurements, *, seed: int = 0) -> Recheck:
+    """Judge from a few new rows whether a machine is still as calibrated.
+
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.calibration.recheck import recheck
+        >>> errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
+        >>> machine = pm.SimulatedMachine.random(errors, generator, everything=False)
+        >>> commands = pm.reachable_poses(errors.robot, 48, generator).commands
+        >>> rows = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+        >>> calibration = pm.calibrate(rows[:40], errors, "lm")
+        >>> recheck(calibration.compensation, rows[40:]).verdict
+        'unchanged'
+
+    Args:
+        calibration: a method with parameters; or the folder of one, whose checksums are compared first.
+        measurements: new rows, of any kind; a handful of poses.
+        seed: of the poses over which the tool is judged.
+
+    Raises:
+        DescriptionError: the folder is no calibration, or was changed.
+        InvalidValueError: the calibration has no parameters.
+    """
+    known = calibration if isinstance(calibration, Compensation) else read_compensation(calibration)
+    if known.values is None or known.known_covariance is None:
+        raise InvalidValueError("calibration", problem="has no parameters", expected="one of a method with lm")
+    conditions = known.with_usual_conditions(measurements.conditions) if measurements.conditions else {}
+    machine = known.poses(known.errors.robot.forward(measurements.commands), conditions)
+    seen = measurements.seen
+
+    def rows(motions: Array) -> Array:
+        found = measurements.derivatives(machine, motions)
+        return np.asarray((np.where(seen[:, :, None], found, 0.0) / measurements.sigmas[:, :, None])[seen])
+
+    off = (measurements.residuals(machine) / measurements.sigmas)[seen]
+    joints = tuple(measurements.joints)
+    drives, changes = _effects(known, machine, joints)
+    count, drive_units = drives.shape[2], [command.unit for command in known.errors.robot.commands]
+    nuisances = Nuisances.from_measurements(measurements, tuple(drive_units))
+    beside = nuisances.motions(measurements, machine, drives) * nuisances.scales
+    beside = beside * np.minimum(nuisances.sigmas, _LARGEST_SIGMA)
+    covariance = known.known_covariance
+    calibrated = np.concatenate([changes, with_joints(datum_motions(machine), len(joints))], axis=2)
+    calibrated = calibrated[:, :, : len(covariance)] @ _root(covariance)
+    scatter = with_joints(_scatter(known, machine, measurements), len(joints))
+    usual = rows(np.concatenate([calibrated, scatter, beside], axis=2))
+    variance = np.eye(len(off)) + usual @ usual.T
+    by_change = rows(np.concatenate([drives, changes], axis=2))
+    hypotheses = _hypotheses(drive_units, known.errors.tolerances)
+    evidence, means, spreads = [], [], []
+    for change in hypotheses:
+        effect = by_change * change.sigmas
+        factor = scipy.linalg.cho_factor(variance + effect @ effect.T, lower=True)
+        solved = scipy.linalg.cho_solve(factor, off)
+        evidence.append(np.log(change.weight) - 0.5 * off @ solved - np.log(np.diag(factor[0])).sum())
+        gain = (effect.T * change.sigmas[:, None]) if change.sigmas.any() else np.zeros_like(by_change.T)
+        means.append(gain @ solved)
+        spreads.append(np.diag(change.sigmas**2) - gain @ scipy.linalg.cho_solve(factor, gain.T))
+    weights = scipy.special.softmax(evidence)
+    probabilities: dict[Verdict, float] = {
+        verdict: float(sum(w for w, change in zip(weights, hypotheses, strict=True) if change.verdict == verdict))
+        for verdict in get_args(Verdict)
+    }
+    square = float(off @ np.linalg.solve(variance, off))
+    zeros, sigmas = _zeros(by_change[:, :count], variance, off)
+    moments = np.einsum("h,hij->ij", weights, np.array(spreads) + np.einsum("hi,hj->hij", means, means))
+    alone = [float(w) if change.verdict == "re-zero" else 0.0 for w, change in zip(weights, hypotheses, strict=True)]
+    best = np.einsum("h,hi->i", np.array(alone) / max(sum(alone), 1e-300), means)
+    mean = np.einsum("h,hi->i", weights, means)
+    zeroed = moments - np.outer(best, mean) - np.outer(mean, best) + np.outer(best, best)
+    tested = reachable_poses(known.errors.robot, _POSES, np.random.default_rng(seed))
+    tip = np.concatenate(_effects(known, known.model_poses(tested)), axis=2) * tip_weights(known.eta)[:, None]
+    tip_square = np.einsum("nij,nik->jk", tip, tip) / len(tip)
+    kept, set_ = (float(np.sqrt(max(0.0, np.sum(tip_square * each)))) for each in (moments, zeroed))
+    contradiction = float(scipy.special.chdtrc(len(off), square))
+    verdict = max(probabilities, key=probabilities.__getitem__)
+    if verdict == "unchanged" and contradiction < _UNLIKELY:
+        verdict = "recalibrate"
+    return Recheck(
+        verdict, probabilities, kept, set_, zeros, sigmas, _NOTICED * sigmas, len(measurements), contradiction
+    )
+
+
+def add_to_history(directory: Path | str, entry: dict[str, Any]) -> Path:
+    """Append an entry to the history of a calibration's folder, atomically; return the file.
+
+    Raises:
+        DescriptionError: the history there cannot be read.
+        OutputError: it cannot be written.
+    """
+    path = Path(directory) / HISTORY
+    return write_text_atomically(path, (read_text(path) if path.is_file() else "") + json.dumps(entry) + "\n")
+
+
+def read_history(directory: Path | str) -> list[dict[str, Any]]:
+    """Return the entries of the history of a calibration's folder, oldest first; none if it has none.
+
+    Raises:
+        DescriptionError: a line is not JSON.
+    """
+    path = Path(directory) / HISTORY
+    try:
+        return [json.loads(line) for line in read_text(path).splitlines()] if path.is_file() else []
+    except (ValueError, RecursionError) as error:
+        raise DescriptionError(path, "history", f"expected one JSON object a line ({error})") from error
+
+
+def _effects(known: Compensation, poses: Poses, joints: tuple[str, ...] = ()) -> tuple[Array, Array]:
+    """Return the motions of tool and joints by the zeros and by the parameters, shape=(n, 6 + joints, k) each."""
+    found = sensitivities(known.errors, poses, known.values, joints=joints)
+    return tool_motions_by_drives(poses, found.commands), found.errors
+
+
+def _root(covariance: Array) -> Array:
+    values, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _scatter(known: Compensation, machine: Poses, measurements: Measurements) -> Array:
+    """Return motions of one standard deviation of the scatter, the same for all rows of a visit, shape=(n, 6, k)."""
+    weights = tip_weights(known.eta)
+    first, numbers = measurements.first_rows, measurements.visit_numbers
+    covariances = known.scatter.covariances(weighted_control(machine[first], known.eta)) / np.outer(weights, weights)
+    motions = np.zeros((len(measurements), 6, 6 * len(first)))
+    for visit, covariance in enumerate(covariances):
+        motions[numbers == visit, :, 6 * visit : 6 * visit + 6] = _root(covariance)
+    return motions
+
+
+def _hypotheses(units: Sequence[str], tolerances: Array) -> list[_Change]:
+    nothing = np.zeros(len(units) + len(tolerances))
+    found = [_Change("unchanged", nothing, 1.0)]
+    grids = {unit: _ZEROS[unit] for unit in units}
+    length = max(map(len, grids.values()), default=1)
+    sizes = [
+        [float(np.interp(k, np.linspace(0, length - 1, len(grids[u])), grids[u])) for u in units] for k in range(length)
+    ]
+    for size in sizes:
+        found.append(_Change("re-zero", np.concatenate([size, 0.0 * tolerances]), 1.0 / len(sizes)))
+    for factor in _CHANGES:
+        found.append(
+            _Change("recalibrate", np.concatenate([np.zeros(len(units)), factor * tolerances]), 1.0 / len(_CHANGES))
+        )
+    return found
+
+
+def _zeros(effects: Array, variance: Array, off: Array) -> tuple[Array, Array]:
+    """Return generalised least-squares estimates of the zeros, and their standard deviations."""
+    weighted = np.linalg.solve(variance, effects)
+    covariance = np.linalg.pinv(effects.T @ weighted, hermitian=True)
+    return np.asarray(covariance @ (weighted.T @ off)), np.sqrt(np.diag(covariance))

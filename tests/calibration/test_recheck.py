@@ -1,0 +1,113 @@
+"""Checks of a calibration from eight rows: a machine as it was, with other zeros, with another part."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import pm3dof_pin as pm
+from pm3dof_pin.calibration.calibrate import Calibration
+from pm3dof_pin.calibration.recheck import add_to_history, read_history, recheck
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.measuring.measurement_file import write_measurements
+
+Case = tuple[pm.SimulatedMachine, Calibration, np.ndarray, np.random.Generator]
+
+
+@pytest.fixture(scope="module", params=["pm3dof", "hexapod"])
+def case(request: pytest.FixtureRequest) -> Any:
+    errors, generator = pm.GeometricErrors.load(request.param), np.random.default_rng(4)
+    machine = pm.SimulatedMachine.random(errors, generator, everything=False)
+    commands = pm.reachable_poses(errors.robot, 48, generator).commands
+    rows = pm.Measurements.from_poses(commands[:40], machine.measure(commands[:40], generator))
+    return machine, pm.calibrate(rows, errors, "lm", on_refusal="keep"), commands[40:], generator
+
+
+def test_an_unchanged_machine_is_called_so(case: Case) -> None:
+    machine, calibration, commands, generator = case
+    found = recheck(
+        calibration.compensation, pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+    )
+    assert found.verdict == "unchanged"
+    assert found.risk < 0.2
+    assert found.contradiction > 0.01
+    assert found.off_if_kept < 5e-6
+    assert sum(found.probabilities.values()) == pytest.approx(1.0)
+
+
+def test_moved_zeros_are_found(case: Case) -> None:
+    """Within 4 of their standard deviations; every drive runs that much farther than its counter says."""
+    machine, calibration, commands, generator = case
+    moved = generator.choice([-1.0, 1.0], commands.shape[1]) * generator.uniform(5e-5, 2e-4, commands.shape[1])
+    seen = pm.Measurements.from_poses(commands, machine.measure(commands + moved, generator))
+    found = recheck(calibration.compensation, seen)
+    assert found.verdict == "re-zero"
+    assert found.risk < 0.05
+    assert (np.abs(found.zeros - moved) < 4.0 * found.zero_sigmas).all()
+    assert (found.detectable < np.abs(moved)).all()
+    assert found.off_if_zeroed < 0.3 * found.off_if_kept
+    # the tool is off by as much as the simulated machine moved
+    there, here = machine.poses(commands + moved), machine.poses(commands)
+    turn = Rotation.from_matrix(there[:, :3, :3] @ np.swapaxes(here[:, :3, :3], 1, 2)).as_rotvec()
+    squares = np.sum((there - here)[:, :3, 3] ** 2 + (0.1 * turn) ** 2, axis=1)
+    assert found.off_if_kept == pytest.approx(np.sqrt(np.mean(squares)), rel=0.3)
+
+
+def test_another_part_asks_for_a_calibration(case: Case) -> None:
+    """A joint of the base moved aside by fifteen tolerances: zeros do not explain it."""
+    machine, calibration, commands, generator = case
+    source = machine.geometric
+    assert source is not None
+    names = source.errors.names
+    place = names.index(next(name for name in names if name.endswith((".ty", ".r_across2"))))
+    values = np.array(source.values)
+    values[place] += 15.0 * source.errors.tolerances[place]
+    other = replace(machine, geometric=replace(source, values=values))
+    found = recheck(calibration.compensation, pm.Measurements.from_poses(commands, other.measure(commands, generator)))
+    assert found.verdict == "recalibrate"
+
+
+def test_the_history_stays_with_the_folder(case: Case, tmp_path: Path, run: Callable[..., Any]) -> None:
+    machine, calibration, commands, generator = case
+    folder = calibration.save(tmp_path / "calibration")
+    robot = calibration.compensation.errors.robot
+    seen = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+    write_measurements(seen, robot, tmp_path / "new.csv")
+    done = run("recheck", "new.csv", "--calibration", "calibration", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["verdict"] == "unchanged"
+    assert result["rows"] == 8
+    add_to_history(folder, {"verdict": "re-zero"})
+    calibration.save(folder)
+    assert [entry["verdict"] for entry in read_history(folder)] == ["unchanged", "re-zero"]
+    assert (
+        "earlier checks, the last: re-zero"
+        in run("recheck", "new.csv", "--calibration", "calibration", cwd=tmp_path).stdout
+    )
+    changed = next((folder / "nominal").glob("*.urdf"))
+    changed.write_text(changed.read_text() + " ")
+    done = run("recheck", "new.csv", "--calibration", "calibration", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "was changed since the calibration was written" in done.stderr
+    shutil.rmtree(folder)
+    folder.mkdir()
+    (folder / "history.jsonl").write_text("{")
+    with pytest.raises(DescriptionError, match="one JSON object a line"):
+        read_history(folder)
+
+
+def test_a_method_without_parameters_is_refused(case: Case) -> None:
+    machine, calibration, commands, generator = case
+    seen = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+    bare = replace(calibration.compensation, values=None, covariance=None)
+    with pytest.raises(InvalidValueError, match="has no parameters"):
+        recheck(bare, seen)
