@@ -26,6 +26,7 @@ from pm3dof_pin.figures.style import COLORMAP, INK, TWO_COLUMNS, house_style, ne
 _BEFORE, _AFTER, _FLOOR, _NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okabe and Ito
 
 _MICROMETRES = 1e6
+_SHOWN = 4.0  # tolerances; a wider uncertainty leaves the picture of the parameters
 _NO_FLOOR = (
     "The part that no command corrects is not drawn: only identified parameters locate it. Both maps lack it, except "
     "for its mean, which the second includes."
@@ -269,7 +270,7 @@ def _held_out_picture(held_out: HeldOut) -> Figure:
 def _parameters_picture(found: Identification) -> Figure:
     """Draw the identified parameters with two standard deviations, in units of their tolerances."""
     values = found.values / found.errors.tolerances
-    spread = np.minimum(found.sigmas / found.errors.tolerances, found.prior)
+    spread = found.sigmas / found.errors.tolerances  # as in the table
     places = np.arange(len(values))[::-1]
     with house_style():
         figure = new_figure(TWO_COLUMNS, 1.2 + 0.17 * len(values))
@@ -280,6 +281,9 @@ def _parameters_picture(found: Identification) -> Figure:
         axes.errorbar(values, places, xerr=2.0 * spread, fmt="o", markersize=3.0, color=_AFTER, ecolor=_NOISE)
         axes.set_yticks(places, [parameter_words(name) for name in found.errors.names], fontsize=7.0)
         axes.set_ylim(-1.0, len(values))
+        reach = max(_SHOWN, 1.1 * float(np.abs(values).max(initial=0.0)))
+        if float((np.abs(values) + 2.0 * spread).max(initial=0.0)) > reach:
+            axes.set_xlim(-reach, reach)  # longer lines leave the picture: unknown to more than these tolerances
         axes.set_xlabel("value ± two standard deviations, relative to the tolerance")
     return figure
 

@@ -17,7 +17,8 @@ from pm3dof_pin.cli.output import message
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PictureFormat = StrEnum("PictureFormat", "png pdf svg")  # pixels at 300 dpi, or vector graphics
+# pixels at 300 dpi, vector graphics, or pixels on a dark ground
+PictureFormat = StrEnum("PictureFormat", {"png": "png", "pdf": "pdf", "svg": "svg", "dark": "dark.png"})
 
 
 Formats = Annotated[

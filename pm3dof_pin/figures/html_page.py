@@ -9,7 +9,7 @@ from html import escape
 
 from matplotlib.figure import Figure
 
-from pm3dof_pin.figures.style import house_style
+from pm3dof_pin.figures.style import fit_title, house_style
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60em; margin: 2em auto; padding: 0 1em; }
@@ -38,6 +38,7 @@ def html_image(figure: Figure, text: str) -> str:
     """Return a picture, embedded as SVG, with a text for those who do not see it; identical ones give the same text."""
     buffer = io.BytesIO()
     with house_style():
+        fit_title(figure)
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     return f'<p><img alt="{escape(text)}" src="data:image/svg+xml;base64,{data}"></p>'

@@ -6,7 +6,7 @@ import itertools
 import logging
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,11 @@ import numpy as np
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
 import pm3dof_pin
+from pm3dof_pin.figures.dark import darkened
 from pm3dof_pin.figures.labels import plain
 from pm3dof_pin.files import write_atomically
 from pm3dof_pin.typing import Array
@@ -67,7 +69,9 @@ LIMIT_LINE: dict[str, Any] = {"color": INK, "linewidth": 1.0}
 END_LINE: dict[str, Any] = {"color": "#777777", "linewidth": 1.0, "linestyle": (0, (3.0, 2.0))}
 """Edges of a map: a joint limit, and the end of the grid, beyond which the robot could move."""
 
-FORMATS = ("png", "pdf", "svg")
+FORMATS = ("png", "pdf", "svg", "dark.png")
+"""Suffixes of pictures; the last is for dark pages."""
+_WIDEST_TITLE, _SMALLEST_TITLE = 0.97, 5.0  # part of the picture's width; points
 # names of metadata: title, software, command, and a date that is left out
 _METADATA = {
     "png": ("Title", "Software", "Comment", None),
@@ -141,6 +145,7 @@ def new_figure(width: float, height: float) -> Figure:
 def save_figure(figure: Figure, path: Path | str, command: str | None = None) -> Path:
     """Write a figure as PDF, SVG or PNG by suffix, and return the path; equal figures give equal bytes.
 
+    A name that ends in .dark.png is drawn on a dark ground. A title wider than the picture is written smaller.
     Its metadata are its title, this package and version, and the command that drew it, if any.
 
     Raises:
@@ -151,9 +156,24 @@ def save_figure(figure: Figure, path: Path | str, command: str | None = None) ->
     texts = (title or None, f"pm3dof-pin {pm3dof_pin.__version__}", command, None)
     named = zip(_METADATA[kind], texts, strict=True)
     metadata = {name: text for name, text in named if name is not None and (text or name in _DATES)}
+    is_dark = str(path).lower().endswith(".dark.png")
     with house_style(), _fonts_undated(), write_atomically(path) as temporary:
-        figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata)
+        fit_title(figure)
+        with darkened(figure) if is_dark else nullcontext():
+            ground = {"facecolor": figure.get_facecolor()} if is_dark else {}
+            figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata, **ground)
     return Path(path)
+
+
+def fit_title(figure: Figure) -> None:
+    """Write the title of a figure smaller, if it is wider than the picture."""
+    title: Text | None = figure._suptitle  # type: ignore[attr-defined]
+    if title is None:
+        return
+    room = _WIDEST_TITLE * figure.bbox.width
+    width = title.get_window_extent(FigureCanvasAgg(figure).get_renderer(), dpi=figure.dpi).width
+    if width > room:
+        title.set_fontsize(max(_SMALLEST_TITLE, float(title.get_fontsize()) * room / width))
 
 
 def save_pictures(
