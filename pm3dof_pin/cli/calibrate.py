@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.calibration.calibrate import Calibration
 
 
+_FIRMWARE = (".cfg", ".g", ".gcode", ".log")
 _ROOMS = ("pm3dof_pin.csv_table", "pm3dof_pin.measuring", "pm3dof_pin.calibration")
 
 
@@ -29,7 +31,9 @@ TargetOffsets: TypeAlias = Literal["fixed", "estimate"]
 
 
 def calibrate(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Measurements (CSV).")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Measurements (CSV), or a printer's printer.cfg or log.")
+    ],
     out: Annotated[Path, typer.Option(help="Output folder; an earlier calibration in it is replaced.")],
     which: RobotErrorsOptions,
     columns: ColumnsOf = None,
@@ -75,7 +79,13 @@ def calibrate(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Calibrate a machine from measurements: parameters, corrections, a calibrated URDF and a report."""
+    """Calibrate a machine from measurements: parameters, corrections, a calibrated URDF and a report.
+
+    Or a delta printer from touches of its bed: FILE is Klipper's printer.cfg, or a log with M665, M666 and G30.
+    """
+    if file.suffix.lower() in _FIRMWARE:
+        _calibrate_printer(file, out, force=force, as_json=as_json)
+        return
     from pm3dof_pin.calibration.calibrate import Options
     from pm3dof_pin.calibration.calibrate import calibrate as calibrate_machine
     from pm3dof_pin.calibration.folder import REPORT
@@ -103,6 +113,32 @@ def calibrate(
     summary = calibration.summary()
     print_result({"directory": str(folder)} | summary, _lines(summary, calibration), as_json=as_json)
     message(f"wrote {folder}, report in {folder / REPORT}")
+
+
+def _calibrate_printer(file: Path, out: Path, *, force: bool, as_json: bool) -> None:
+    from pm3dof_pin.printers.printer_calibration import calibrate_printer
+
+    found = calibrate_printer(file, on_refusal="keep" if force else "raise")
+    folder = found.save(out)
+    summary = found.summary()
+    low, high = (1e6 * value for value in summary["height_error_held_out_95_percent_interval_m"])
+    sizes = ", ".join(f"{1e6 * value:.0f} µm with {count}" for count, value in summary["held_out_rms_m"].items())
+    far = f" and {summary['distances']} distances" if summary["distances"] else ""
+    lines = [
+        f"{summary['firmware']}, {summary['touches']} touches{far}",
+        f"error of a touch, held out: {sizes} parameters; {summary['parameters_chosen']} are taken",
+        f"height error, rms: {1e6 * summary['height_error_before_rms_m']:.0f} µm before, "
+        f"{1e6 * summary['height_error_held_out_rms_m']:.0f} µm after ({low:.0f} to {high:.0f} with 95 % probability)",
+        *(f"not determined by these touches: {words}" for words in summary["not_determined"]),
+    ]
+    scales = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
+    rows = []
+    for name, change in summary["changes"].items():
+        scale, unit = scales[change["unit"]]
+        rows.append([name, f"{scale * change['value']:+.4f}", f"{scale * change['sigma_of_the_data']:.4f}", unit])
+    lines += ["", *table_lines(["parameter", "change", "sigma", "unit"], rows)]
+    print_result({"directory": str(folder)} | summary, lines, as_json=as_json)
+    message(f"wrote {folder / file.name}")
 
 
 @contextmanager

@@ -27,7 +27,7 @@ FLOORS = (
     ("maps",),
     ("figures", "viewer", "export"),
     ("calibration",),
-    ("paths",),
+    ("paths", "printers"),
     ("cli",),
     ("__main__",),
 )

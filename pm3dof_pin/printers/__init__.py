@@ -1,0 +1,1 @@
+"""Delta printers: their firmware's files, as robots, and calibration from touches of the bed."""

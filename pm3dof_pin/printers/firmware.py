@@ -1,0 +1,50 @@
+"""Files of the firmware of delta printers: which kind a file is, and what every kind can do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.printers.delta_printer import DeltaPrinter
+from pm3dof_pin.printers.klipper import KlipperFile
+from pm3dof_pin.printers.m665 import GCodeLog
+from pm3dof_pin.printers.touches import Touches
+
+
+class FirmwareFile(Protocol):
+    """A file of a printer's firmware."""
+
+    @property
+    def firmware(self) -> str:
+        """Name of the firmware."""
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+
+    @property
+    def most_parameters(self) -> int:
+        """The greatest number of parameters that it can hold."""
+
+    def printer(self) -> DeltaPrinter:
+        """Return the printer that it describes."""
+
+    def touches(self, printer: DeltaPrinter) -> Touches:
+        """Return the touches of the bed that it contains."""
+
+    def with_printer(self, printer: DeltaPrinter) -> str:
+        """Return the text of a file with another printer's numbers."""
+
+
+def read_firmware(path: Path, text: str) -> FirmwareFile:
+    """Return what a file is.
+
+    Raises:
+        MeasurementError: it is of no firmware that is known.
+    """
+    if "[printer]" in text:
+        return KlipperFile.parse(path, text)
+    if "M665" in text:
+        return GCodeLog.parse(path, text)
+    raise MeasurementError(path, "neither Klipper's [printer] nor M665 of RepRapFirmware or Marlin: no delta printer")

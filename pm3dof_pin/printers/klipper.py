@@ -1,0 +1,215 @@
+"""Klipper's printer.cfg: a delta printer, the touches that it saved, and a new block of saved settings.
+
+A touch is saved as the steps that each drive took from its end stop, so it depends on no parameter. A step is
+rotation_distance / (full steps x microsteps x gears), in millimetres, or 2 pi for a drive that turns; older files have
+step_distance. Options in the block that SAVE_CONFIG writes override those above it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.printers.delta_printer import AXES, DeltaPrinter
+from pm3dof_pin.printers.touches import Touches
+from pm3dof_pin.typing import Array
+
+_SAVED = "#*#"
+_START = "#*# <---------------------- SAVE_CONFIG ---------------------->"
+_NOTE = "#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated."
+_SECTION, _OPTION = re.compile(r"\[([^\]]+)\]"), re.compile(r"([^:=\s][^:=]*?)\s*[:=]\s*(.*)")
+_ANGLES = {"delta": (210.0, 330.0, 90.0), "rotary_delta": (30.0, 150.0, 270.0)}
+_FULL_STEPS = 200.0
+
+
+@dataclass(frozen=True)
+class KlipperFile:
+    """A printer.cfg."""
+
+    path: Path  #: the file
+    lines: tuple[str, ...]  #: its lines above the saved block
+    saved: Mapping[str, Mapping[str, str]]  #: options of the saved block, by section
+    options: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  #: all options, saved ones first
+
+    firmware = "Klipper"
+    most_parameters = 9
+
+    @classmethod
+    def parse(cls, path: Path, text: str) -> KlipperFile:
+        """Read sections and options; later ones override earlier ones, and saved ones both."""
+        above: dict[str, dict[str, str]] = {}
+        saved: dict[str, dict[str, str]] = {}
+        lines, section = [], {True: "", False: ""}
+        for line in text.splitlines():
+            is_saved = line.startswith(_SAVED)
+            words = line[len(_SAVED) :].strip() if is_saved else line.split("#", 1)[0].rstrip()
+            if not is_saved:
+                lines.append(line)
+            table = saved if is_saved else above
+            if found := _SECTION.match(words):
+                section[is_saved] = found[1].strip().lower()
+            elif (option := _OPTION.match(words)) and section[is_saved] and not words.startswith((" ", "\t")):
+                table.setdefault(section[is_saved], {})[option[1].strip().lower()] = option[2].strip()
+        names = {*above, *saved}
+        return cls(path, tuple(lines), saved, {n: {**above.get(n, {}), **saved.get(n, {})} for n in names})
+
+    def printer(self) -> DeltaPrinter:
+        """Return the printer.
+
+        Raises:
+            MeasurementError: it is no delta, or a number is missing.
+        """
+        kind = self._word("printer", "kinematics")
+        if kind not in _ANGLES:
+            raise MeasurementError(self.path, f"[printer] kinematics is {kind}; expected delta or rotary_delta")
+        angles = [math.radians(self._number(f"stepper_{a}", "angle", _ANGLES[kind][k])) for k, a in enumerate(AXES)]
+
+        def three(option: str) -> list[float]:
+            first = self._number("stepper_a", option)
+            return [1e-3 * self._number(f"stepper_{axis}", option, first) for axis in AXES]
+
+        stops = three("position_endstop")
+        if kind == "delta":
+            arms, radius = three("arm_length"), 1e-3 * self._number("printer", "delta_radius")
+            return DeltaPrinter(radius, _triple(angles), _triple(arms), _triple(stops))
+        lower = [
+            1e-3 * self._number(f"stepper_{a}", "lower_arm_length", self._number("stepper_a", "lower_arm_length"))
+            for a in AXES
+        ]
+        return DeltaPrinter(
+            1e-3 * self._number("printer", "shoulder_radius"),
+            _triple(angles),
+            _triple(lower),
+            _triple(stops),
+            _triple(three("upper_arm_length")),
+            1e-3 * self._number("printer", "shoulder_height"),
+        )
+
+    def touches(self, printer: DeltaPrinter) -> Touches:
+        """Return the touches and measured distances that the file has saved.
+
+        Raises:
+            MeasurementError: there are none, or one is malformed.
+        """
+        steps = np.array([self._step(axis, rotary=printer.is_rotary) for axis in AXES])
+        travels, heights = [], []
+        for name in ("height", "manual_height"):
+            for value, (place,) in self._numbered(name, ("_pos",)):
+                travels.append(-steps * place)
+                heights.append(1e-3 * value)
+        pairs = [
+            (1e-3 * value, -steps * one, -steps * two)
+            for value, (one, two) in self._numbered("distance", ("_pos1", "_pos2"))
+        ]
+        if not travels:
+            problem = "no touches of the bed ([delta_calibrate] height0, height0_pos ...): DELTA_CALIBRATE saves them"
+            raise MeasurementError(self.path, problem)
+        return Touches.of(np.array(travels), np.array(heights), pairs)
+
+    def with_printer(self, printer: DeltaPrinter) -> str:
+        """Return the file with another printer's numbers in its saved block; their options above become comments."""
+        written: dict[str, dict[str, float]] = {name: {} for name in ("printer", *(f"stepper_{a}" for a in AXES))}
+        if printer.is_rotary:
+            written["printer"] = {"shoulder_radius": printer.radius, "shoulder_height": printer.shoulder_height}
+        else:
+            written["printer"] = {"delta_radius": printer.radius}
+        for k, axis in enumerate(AXES):
+            own = written[f"stepper_{axis}"]
+            own["angle"] = math.degrees(printer.angles[k]) * 1e-3
+            if not printer.is_rotary:
+                own["arm_length"] = printer.arms[k]
+            own["position_endstop"] = printer.end_stops[k]
+        lines, section = [], ""
+        for line in self.lines:
+            if found := _SECTION.match(line):
+                section = found[1].strip().lower()
+            option = _OPTION.match(line)
+            replaced = option is not None and option[1].strip().lower() in written.get(section, {})
+            lines.append(f"#{line}" if replaced else line)
+        saved = {name: dict(values) for name, values in self.saved.items()}
+        for name, values in written.items():
+            saved[name] = {**saved.get(name, {}), **{option: f"{1e3 * value:.6f}" for option, value in values.items()}}
+        while lines and not lines[-1].strip():
+            lines.pop()
+        block = [_START, _NOTE, _SAVED]
+        for name in [*written, *(name for name in saved if name not in written)]:
+            block += [
+                f"{_SAVED} [{name}]",
+                *(f"{_SAVED} {option} = {value}" for option, value in saved[name].items()),
+                _SAVED,
+            ]
+        return "\n".join([*lines, "", *block[:-1], ""])
+
+    def _numbered(self, name: str, ends: tuple[str, ...]) -> list[tuple[float, list[Array]]]:
+        own, found = self.options.get("delta_calibrate", {}), list[tuple[float, list[Array]]]()
+        while f"{name}{len(found)}" in own:
+            label = f"{name}{len(found)}"
+            places = []
+            for end in ends:
+                words = own.get(label + end, "").split(",")
+                try:
+                    place = np.array([float(word) for word in words])
+                except ValueError:
+                    place = np.empty(0)
+                if place.shape != (3,) or not np.isfinite(place).all():
+                    raise MeasurementError(
+                        self.path, f"[delta_calibrate] {label}{end}: expected the steps of three drives"
+                    )
+                places.append(place)
+            found.append((self._number("delta_calibrate", label), places))
+        return found
+
+    def _step(self, axis: str, *, rotary: bool) -> float:
+        """Return a drive's travel in one step [m, rad]."""
+        section = f"stepper_{axis}"
+        if "step_distance" in self.options.get(section, {}):
+            return self._number(section, "step_distance") * (1.0 if rotary else 1e-3)
+        turn = (
+            2.0 * math.pi
+            if rotary
+            else 1e-3 * self._number(section, "rotation_distance", self._fallback("rotation_distance"))
+        )
+        ratio = 1.0
+        gears = self.options.get(section, {}).get("gear_ratio", self.options.get("stepper_a", {}).get("gear_ratio", ""))
+        for pair in filter(None, (word.strip() for word in gears.split(","))):
+            try:
+                driven, driving = map(float, pair.split(":"))
+                ratio *= driven / driving
+            except (ValueError, ZeroDivisionError) as error:
+                raise MeasurementError(
+                    self.path, f"[{section}] gear_ratio: expected pairs such as 60:16, not '{pair}'"
+                ) from error
+        full = self._number(section, "full_steps_per_rotation", _FULL_STEPS)
+        return turn / (full * self._number(section, "microsteps", self._fallback("microsteps")) * ratio)
+
+    def _fallback(self, option: str) -> float | None:
+        return self._number("stepper_a", option) if option in self.options.get("stepper_a", {}) else None
+
+    def _word(self, section: str, option: str) -> str:
+        try:
+            return self.options[section][option]
+        except KeyError as error:
+            raise MeasurementError(self.path, f"[{section}] {option} is missing") from error
+
+    def _number(self, section: str, option: str, default: float | None = None) -> float:
+        if default is not None and option not in self.options.get(section, {}):
+            return default
+        word = self._word(section, option)
+        try:
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise MeasurementError(self.path, f"[{section}] {option}: expected a number, not '{word}'")
+        return value
+
+
+def _triple(values: list[float]) -> tuple[float, float, float]:
+    first, second, third = values
+    return first, second, third

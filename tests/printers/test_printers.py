@@ -1,0 +1,300 @@
+"""Delta printers from files of their firmware, against trilateration and a textbook fit written here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+import pm3dof_pin as pm
+from pm3dof_pin.exceptions import CalibrationRefusedError, OutputError, PM3DofError
+from pm3dof_pin.printers.firmware import read_firmware
+from pm3dof_pin.printers.printer_calibration import calibrate_printer
+
+BASE = np.radians([210.0, 330.0, 90.0])
+MICROSTEP = 40.0 / (200.0 * 16.0)  # [mm]
+
+
+@dataclass(frozen=True)
+class Delta:
+    """A linear delta in millimetres and radians, by three spheres."""
+
+    radius: float = 130.0
+    angles: tuple[float, ...] = tuple(BASE)
+    arms: tuple[float, ...] = (270.0, 270.0, 270.0)
+    stops: tuple[float, ...] = (245.0, 245.0, 245.0)
+
+    def nozzle(self, travels: np.ndarray) -> np.ndarray:
+        arms, stops = np.array(self.arms), np.array(self.stops)
+        heights = stops + np.sqrt(arms**2 - self.radius**2) - travels
+        towers = self.radius * np.column_stack([np.cos(self.angles), np.sin(self.angles)])
+
+        c = np.column_stack([towers, heights])
+        first, second = c[1] - c[0], c[2] - c[0]
+        length = np.linalg.norm(first)
+        along = first / length
+        across = second - (second @ along) * along
+        across /= np.linalg.norm(across)
+        i, j = along @ second, across @ second
+        x = (arms[0] ** 2 - arms[1] ** 2 + length**2) / (2.0 * length)
+        y = (arms[0] ** 2 - arms[2] ** 2 + i**2 + j**2) / (2.0 * j) - i / j * x
+        return np.asarray(c[0] + x * along + y * across - np.sqrt(arms[0] ** 2 - x**2 - y**2) * np.cross(along, across))
+
+    def travels(self, x: float, y: float, z: float = 0.0) -> np.ndarray:
+        arms, stops = np.array(self.arms), np.array(self.stops)
+        towers = self.radius * np.column_stack([np.cos(self.angles), np.sin(self.angles)])
+        rise = np.sqrt(arms**2 - np.sum((towers - [x, y]) ** 2, axis=1))
+        return np.asarray(stops + np.sqrt(arms**2 - self.radius**2) - z - rise)
+
+
+def points(rings: tuple[tuple[float, int], ...] = ((50.0, 6), (95.0, 12))) -> np.ndarray:
+    angles = [(r, 2.0 * np.pi * k / n) for r, n in rings for k in range(n)]
+    return np.array([(0.0, 0.0), *((r * np.cos(a), r * np.sin(a)) for r, a in angles)])
+
+
+def touched(truth: Delta, believed: Delta, at: np.ndarray, noise: np.random.Generator) -> np.ndarray:
+    """Return the travels at which the nozzle meets the bed; the printer goes down where it believes the points are."""
+    found = []
+    for x, y in at:
+        down = scipy.optimize.brentq(lambda z, x=x, y=y: truth.nozzle(believed.travels(x, y, z))[2], -5.0, 5.0)
+        found.append(believed.travels(x, y, down) + noise.normal(0.0, 0.01))
+    return np.array(found)
+
+
+def klipper(believed: Delta, travels: np.ndarray, more: str = "") -> str:
+    lines = ["[printer]", "kinematics: delta", f"delta_radius: {believed.radius}", "[bed_mesh]", "speed = 50"]
+    for axis, angle, arm, stop in zip("abc", np.degrees(believed.angles), believed.arms, believed.stops, strict=True):
+        lines += [f"[stepper_{axis}]", "microsteps: 16", "rotation_distance: 40  # belt", f"angle: {float(angle)!r}"]
+        lines += [f"arm_length: {arm}", f"position_endstop: {stop}"]
+    lines += ["#*# <---------------------- SAVE_CONFIG ---------------------->", "#*# [delta_calibrate]"]
+    for k, row in enumerate(travels / MICROSTEP):
+        lines += [f"#*# height{k} = 0.0", f"#*# height{k}_pos = {','.join(f'{value:.3f}' for value in row)}"]
+    return "\n".join([*lines, more, ""])
+
+
+def textbook(travels: np.ndarray, start: Delta, arms: int) -> Delta:
+    """Fit radius, end stops, two angles and 0, 1 or 3 arm lengths, weakly held, by scipy."""
+
+    def printer(x: np.ndarray) -> Delta:
+        longer = np.zeros(3) if arms == 0 else np.resize(x[6:], 3)
+        return Delta(
+            start.radius + x[0],
+            tuple(np.array(start.angles) + np.array([*(0.01 * x[4:6]), 0.0])),
+            tuple(np.array(start.arms) + longer),
+            tuple(np.array(start.stops) + x[1:4]),
+        )
+
+    def left(x: np.ndarray) -> np.ndarray:
+        heights = [printer(x).nozzle(row)[2] / 0.025 for row in travels]
+        sizes = np.array([3.0, 5.0, 5.0, 5.0, 2.0, 2.0, *[1.0] * arms])
+        return np.concatenate([heights, x / sizes])
+
+    return printer(np.asarray(scipy.optimize.least_squares(left, np.zeros(6 + arms), x_scale="jac").x))
+
+
+TRUTH = Delta(131.2, tuple(BASE + np.radians([0.3, -0.2, 0.0])), (270.0, 270.0, 270.0), (245.6, 244.2, 244.9))
+
+
+@pytest.fixture(scope="module")
+def travels() -> np.ndarray:
+    return touched(TRUTH, Delta(), points(), np.random.default_rng(0))
+
+
+def test_the_robot_is_the_printer(tmp_path: Path) -> None:
+    from pm3dof_pin.printers.printer_calibration import calibrate_printer as calibrate
+
+    rows = np.array([TRUTH.travels(x, y) for x, y in points()])
+    (tmp_path / "printer.cfg").write_text(klipper(Delta(), rows))
+    found = calibrate(tmp_path / "printer.cfg")
+    folder = found.save(tmp_path / "out")
+    robot = pm.load(folder / "robot" / "printer.urdf")
+    after = found.after
+    mine = Delta(
+        1e3 * after.radius, after.angles, tuple(1e3 * np.array(after.arms)), tuple(1e3 * np.array(after.end_stops))
+    )
+    reached = robot.forward(-1e-3 * rows).positions
+    np.testing.assert_allclose(1e3 * reached, [mine.nozzle(row) for row in rows], atol=1e-6)
+    # without noise the printer itself is found, apart from its arms
+    assert after.radius == pytest.approx(1e-3 * TRUTH.radius, abs=2e-5)
+    np.testing.assert_allclose(1e3 * np.array(after.end_stops), TRUTH.stops, atol=0.05)
+    np.testing.assert_allclose(after.angles, TRUTH.angles, atol=5e-4)
+
+
+def test_as_good_as_a_textbook_fit(travels: np.ndarray, tmp_path: Path) -> None:
+    (tmp_path / "printer.cfg").write_text(klipper(Delta(), travels))
+    found = calibrate_printer(tmp_path / "printer.cfg")
+    folds = np.random.default_rng(1).permutation(np.arange(len(travels)) % 10)
+    errors = {}
+    for count, arms in ((6, 0), (7, 1), (9, 3)):
+        parts = [
+            [textbook(travels[folds != k], Delta(), arms).nozzle(row)[2] for row in travels[folds == k]]
+            for k in range(10)
+        ]
+        errors[count] = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    ours = {choice.count: 1e3 * np.sqrt(choice.mean_square) for choice in found.choices}
+    for count, error in errors.items():
+        assert ours[count] < 1.3 * error, (count, ours, errors)
+    low, high = (1e3 * value for value in found.interval)
+    assert 0.7 * low < errors[found.chosen.count] < 1.3 * high
+    fresh = points(((30.0, 7), (80.0, 9)))
+    after = found.after
+    mine = Delta(
+        1e3 * after.radius, after.angles, tuple(1e3 * np.array(after.arms)), tuple(1e3 * np.array(after.end_stops))
+    )
+    off = [TRUTH.nozzle(mine.travels(x, y))[2] for x, y in fresh]
+    assert np.sqrt(np.mean(np.square(off))) < 2e-3 * 5.0  # half the noise of a touch: it averages
+    assert found.gain > 20.0
+    assert any("arm_a" in words for words in found.undetermined)
+
+
+def test_distances_determine_the_arms(tmp_path: Path) -> None:
+    truth, noise = replace(TRUTH, arms=(270.8, 270.8, 270.8)), np.random.default_rng(2)
+    rows, lines = touched(truth, Delta(), points(), noise), []
+    for k, (one, two) in enumerate((((-90.0, 0.0), (90.0, 0.0)), ((0.0, -90.0), (0.0, 90.0)))):
+        ends = [Delta().travels(*place) for place in (one, two)]
+        length = float(np.linalg.norm(truth.nozzle(ends[1]) - truth.nozzle(ends[0])))
+        lines += [f"#*# distance{k} = {length:.4f}"]
+        for number, end in enumerate(ends, start=1):
+            lines.append(f"#*# distance{k}_pos{number} = {','.join(f'{v:.3f}' for v in end / MICROSTEP)}")
+    (tmp_path / "printer.cfg").write_text(klipper(Delta(), rows, "\n".join(lines)))
+    found = calibrate_printer(tmp_path / "printer.cfg")
+    assert len(found.touches.distances) == 2
+    before = np.array([truth.nozzle(Delta().travels(x, 0.0))[0] for x in (-90.0, 90.0)])
+    after = found.after
+    mine = Delta(
+        1e3 * after.radius, after.angles, tuple(1e3 * np.array(after.arms)), tuple(1e3 * np.array(after.end_stops))
+    )
+    printed = np.array([truth.nozzle(mine.travels(x, 0.0))[0] for x in (-90.0, 90.0)])
+    assert abs(np.ptp(printed) - 180.0) < 0.2 * abs(np.ptp(before) - 180.0)
+
+
+def test_the_new_file_replaces_the_old_numbers(travels: np.ndarray, tmp_path: Path) -> None:
+    path = tmp_path / "printer.cfg"
+    path.write_text(klipper(Delta(), travels))
+    found = calibrate_printer(path)
+    text = (found.save(tmp_path / "out") / "printer.cfg").read_text()
+    again = read_firmware(path, text)
+    printer = again.printer()
+    for name in ("radius", "angles", "arms", "end_stops"):
+        np.testing.assert_allclose(getattr(printer, name), getattr(found.after, name), atol=2e-9, rtol=1e-8)
+    np.testing.assert_array_equal(again.touches(printer).travels, found.touches.travels)
+    assert "#delta_radius: 130.0" in text
+    assert "\nspeed = 50" in text
+    assert text.count("delta_radius = ") == 1
+    with pytest.raises(OutputError, match="another folder"):
+        found.save(tmp_path)
+    (tmp_path / "saved.cfg").write_text(text)  # now it is as good as these touches tell
+    with pytest.raises(CalibrationRefusedError, match="as well as these touches tell"):
+        calibrate_printer(tmp_path / "saved.cfg")
+    assert calibrate_printer(tmp_path / "saved.cfg", on_refusal="keep").gain < 1.0
+
+
+def test_a_rotary_delta(tmp_path: Path) -> None:
+    """Elbows of upper arms about shoulders, then three spheres."""
+    angles, upper, lower = np.radians([30.0, 150.0, 270.0]), 170.0, 320.0
+
+    def elbows(height: float, turns: np.ndarray) -> np.ndarray:
+        out = 33.9 + upper * np.cos(turns)
+        return np.column_stack([out * np.cos(angles), out * np.sin(angles), height + upper * np.sin(turns)])
+
+    def turns(height: float, place: list[float], k: int) -> float:
+        def miss(turn: float) -> float:
+            return float(np.linalg.norm(elbows(height, np.full(3, turn))[k] - place) - lower)
+
+        return float(scipy.optimize.brentq(miss, -1.4, 1.2))
+
+    truth = 414.1, np.array([turns(414.1, [0, 0, stop], k) for k, stop in enumerate((252.8, 251.1, 252.4))])
+    described = np.array([turns(412.9, [0, 0, 252.0], k) for k in range(3)])
+    lines = ["[printer]", "kinematics: rotary_delta", "shoulder_radius: 33.9", "shoulder_height: 412.9"]
+    for axis in "abc":
+        lines += [f"[stepper_{axis}]", "gear_ratio: 107:16, 60:16", "microsteps: 16", "position_endstop: 252"]
+        lines += [f"upper_arm_length: {upper}", f"lower_arm_length: {lower}"]
+    lines += ["#*# [delta_calibrate]"]
+    step = 2.0 * np.pi / (200 * 16 * 107 / 16 * 60 / 16)
+    for number, (x, y) in enumerate(points(((40.0, 6), (70.0, 6)))):
+
+        def height(z: float, x: float = x, y: float = y) -> np.ndarray:
+            down = np.array([turns(412.9, [x, y, z], k) for k in range(3)]) - described
+            centres = elbows(truth[0], truth[1] + down)
+            return np.array(
+                [*scipy.optimize.fsolve(lambda p: np.linalg.norm(centres - p, axis=1) - lower, [x, y, z]), *down]
+            )
+
+        z = scipy.optimize.brentq(lambda z: height(z)[2], -8.0, 8.0)
+        lines += [
+            f"#*# height{number} = 0",
+            f"#*# height{number}_pos = {','.join(f'{-v / step:.3f}' for v in height(z)[3:])}",
+        ]
+    (tmp_path / "printer.cfg").write_text("\n".join(lines))
+    found = calibrate_printer(tmp_path / "printer.cfg")
+    assert found.heights_before.std() > 1e-4
+    assert np.abs(found.heights_after).max() < 5e-6
+    text = found.file.with_printer(found.after)
+    assert read_firmware(tmp_path / "x.cfg", text).printer().shoulder_height == pytest.approx(
+        found.after.shoulder_height
+    )
+
+
+@pytest.mark.parametrize("firmware", ["RepRapFirmware", "Marlin"])
+def test_logs_of_g_code(firmware: str, tmp_path: Path) -> None:
+    """Heights at which a printer touches the bed where its own numbers say z; end stops are corrected in both signs."""
+    sign = 1.0 if firmware == "RepRapFirmware" else -1.0
+    believed = Delta(130.0, tuple(BASE + np.radians([0.1, 0.0, 0.0])), stops=(245.2, 245.0, 245.5))
+    noise = np.random.default_rng(5)
+    at, heights = points(), []
+    for x, y in at:
+        z = scipy.optimize.brentq(lambda z, x=x, y=y: TRUTH.nozzle(believed.travels(x, y, z))[2], -5.0, 5.0)
+        heights.append(z + noise.normal(0.0, 0.01))
+    lines = ["M665 L270 R130 H245 X0.1 Y0 Z0", f"M666 X{sign * 0.2} Y0 Z{sign * 0.5} ; end stops"]
+    if firmware == "Marlin":
+        lines += [f"Bed X: {x:.6f} Y: {y:.6f} Z: {z:.6f}" for (x, y), z in zip(at, heights, strict=True)]
+    else:
+        lines += [f"G30 P{k} X{x:.6f} Y{y:.6f} Z-99999" for k, (x, y) in enumerate(at)]
+        lines += [f"G32 bed probe heights: {' '.join(f'{z:.6f}' for z in heights)}, mean 0.1, deviation from mean 0.2"]
+    (tmp_path / "log.g").write_text("\n".join(lines))
+    found = calibrate_printer(tmp_path / "log.g")
+    assert found.file.firmware == firmware
+    assert found.after.radius == pytest.approx(1e-3 * TRUTH.radius, abs=3e-4)
+    again = read_firmware(
+        tmp_path / "log.g", found.file.with_printer(found.after) + "Bed X: 0 Y: 0 Z: 0" * (sign < 0.0)
+    )
+    np.testing.assert_allclose(again.printer().end_stops, found.after.end_stops, atol=1e-7)
+    np.testing.assert_allclose(again.printer().angles, found.after.angles, atol=1e-5)
+
+
+def test_the_command(travels: np.ndarray, run: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "printer.cfg").write_text(klipper(Delta(), travels))
+    answer = run("calibrate", "printer.cfg", "--out", "out", cwd=tmp_path)
+    assert answer.returncode == 0, answer.stderr
+    assert "19 touches" in answer.stdout
+    assert "not determined by these touches" in answer.stdout
+    assert (tmp_path / "out" / "printer.cfg").is_file()
+    assert run("calibrate", "printer.cfg", "--out", ".", cwd=tmp_path).returncode == 1
+
+
+DAMAGES = (
+    ("kinematics: delta", "kinematics: corexy", "expected delta"),
+    ("delta_radius: 130.0", "", "delta_radius is missing"),
+    ("delta_radius: 130.0", "delta_radius: wide", "expected a number, not 'wide'"),
+    ("delta_radius: 130.0", "delta_radius: 1300", "does not close"),
+    ("delta_radius: 130.0", "delta_radius: nan", "expected a number"),
+    ("microsteps: 16", "", "microsteps is missing"),
+    ("height3_pos = ", "height3_pos = 1,", "height3_pos: expected the steps of three drives"),
+    ("height0 = 0.0", "nothing = 0.0", "no touches"),
+    ("height4 = 0.0", "nothing = 0.0", "4 touches for 6 parameters"),
+    ("[printer]", "[machine]", "no delta printer"),
+)
+
+
+@pytest.mark.parametrize(("old", "new", "words"), DAMAGES)
+def test_damaged_files(travels: np.ndarray, tmp_path: Path, old: str, new: str, words: str) -> None:
+    text = klipper(Delta(), travels)
+    assert old in text
+    (tmp_path / "printer.cfg").write_text(text.replace(old, new))
+    with pytest.raises(PM3DofError, match=words):
+        calibrate_printer(tmp_path / "printer.cfg")
