@@ -31,6 +31,7 @@ _MODES = 12  # lowest natural modes around which frequencies are chosen
 _MIN_RATIO = 1e-3  # of damping, by which frequencies of undamped modes are spread
 _SPREAD = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 2.0, 4.0])  # dampings from a natural frequency
 _CHUNK = 200  # poses solved at once
+_RIGID = 1e-12  # movements of an axis, relative to the largest [m or rad], that are rounding of none
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +147,19 @@ def _of_batch(
 
 
 def _extremes(inverse_squares: Array, twists: Array, structural: Array, viscous: Array) -> Array:
-    """Return the extremes of n systems in their modes, shape=(n, 3, 6)."""
+    """Return the extremes of n systems in their modes, shape=(n, 3, 6); infinite stiffness where the tool is rigid."""
     omegas = _frequencies(inverse_squares, structural, viscous)
+    largest = np.abs(twists).max(axis=2)
+    is_rigid = largest <= _RIGID * largest.max(axis=1, keepdims=True)
     direct = _direct_receptances(omegas, inverse_squares, twists, structural, viscous)
     greatest, at = _peaks(omegas, np.abs(direct))
     lowest, _ = _peaks(omegas, -direct.real)
-    return np.stack([1.0 / greatest, at / (2.0 * np.pi), np.minimum(-lowest, 0.0)], axis=1)
+    values = [
+        1.0 / np.where(is_rigid, 1.0, greatest) + np.where(is_rigid, np.inf, 0.0),
+        np.where(is_rigid, np.nan, at / (2.0 * np.pi)),
+        np.where(is_rigid, 0.0, np.minimum(-lowest, 0.0)),
+    ]
+    return np.stack(values, axis=1)
 
 
 def _frequencies(inverse_squares: Array, structural: Array, viscous: Array) -> Array:
