@@ -100,7 +100,12 @@ def test_workspace_over_chosen_coordinates(answer: Answer, tmp_path: Path) -> No
         (["stiffness-map", "--robot", "hexapod", "--tilt", "10"], 2, "use --over and --at"),
         (["stiffness-map", "--robot", "hexapod", "--at", "z", "0.3"], 1, "no pose of the map over x and y of hexapod"),
         (
-            ["workspace", "--robot", "hexapod", "--coordinate", "x"],
+            [
+                "workspace",
+                "--robot",
+                "hexapod",
+                *(part for name in ("x", "y", "z", "rx") for part in ("--coordinate", name)),
+            ],
             2,
             "two for the sections, and optionally one to stack them",
         ),
