@@ -20,7 +20,7 @@ from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.tolerances import MASSLESS
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
-_PROGRAM_FROM = 1000  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
+_PROGRAM_FROM = 500  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
 
 
 class LoadedBatchOptions(BatchOptions, total=False):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -32,11 +33,13 @@ from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.paths.cutting import Milling
 from pm3dof_pin.paths.follower import Follower, with_tool_length
 from pm3dof_pin.paths.planning import (
+    BLOCK,
     MotionLimits,
     PathPoints,
     TimedPoints,
     along_path,
     choose_points,
+    in_blocks,
     path_metric,
     plan_motion,
 )
@@ -115,13 +118,16 @@ class PathEvaluation:
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def blocks(self) -> Iterator[Columns]:
-        """Yield the columns block by block; only one block is in memory."""
+        """Yield the columns block by block; only a few blocks are in memory."""
+        if "columns" in vars(self):
+            yield self.columns
+            return
         energy, before = 0.0, None
         summary, lasting = PathSummary(self.robot, self.path.lines), self.timed.speeds.duration
         weights = 0.5 * (lasting + np.append(lasting[1:], 0.0))
         every, thinned = -(-len(self) // _THINNED), []
-        for part in self.points.blocks():
-            columns, work = self._block(part)  # places and forces of the drives' joints
+        for part, (columns, work) in in_blocks(self._block, self.points.blocks(), self.robot.threads):
+            # work has places and forces of the drives' joints
             work = work if before is None else np.concatenate([before, work], axis=1)
             steps = 0.5 * (work[1, 1:] + work[1, :-1]) * np.diff(work[0], axis=0)
             total = energy + np.cumsum(np.nan_to_num(steps.sum(axis=1)))
@@ -137,16 +143,21 @@ class PathEvaluation:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The path in numbers, with the line of the worst point for each; keys end in their unit."""
-        for _ in self.blocks() if self._summary is None else ():
-            pass
+        self._read()
         assert self._summary is not None
         return self._summary
+
+    def _read(self) -> None:
+        """Go over all points, once; the columns of few are kept."""
+        if self._summary is None and len(self) <= BLOCK:
+            assert self.columns
+        elif self._summary is None:
+            deque(self.blocks(), maxlen=0)
 
     @property
     def thinned(self) -> Columns:
         """All columns of at most a few thousand points, evenly chosen, for pictures."""
-        for _ in self.blocks() if self._thinned is None else ():
-            pass
+        self._read()
         assert self._thinned is not None
         return self._thinned
 

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,6 +17,8 @@ from pm3dof_pin.paths.follower import Follower, Motion
 from pm3dof_pin.paths.time_law import Speeds, corner_speed, look_ahead
 from pm3dof_pin.paths.tool_path import ToolPath
 from pm3dof_pin.typing import Array, Indices, Mask, Matrix, Vector
+
+_Result = TypeVar("_Result")
 
 BLOCK = 16384
 """Points at a time, to bound the memory."""
@@ -68,6 +75,29 @@ class TimedPoints:
     time: Vector  #: at each point, shape=(n,) [s]
 
 
+def in_blocks(
+    function: Callable[[slice], _Result], blocks: Iterable[slice], threads: int | None
+) -> Iterator[tuple[slice, _Result]]:
+    """Yield each block and the function's result in order, computed by threads ahead of the consumer, few at a time.
+
+    The first block is computed alone: it makes what the others share, such as compiled programs.
+    """
+    waiting: deque[tuple[slice, Future[_Result]]] = deque()
+    rest = iter(blocks)
+    if (first := next(rest, None)) is None:
+        return
+    yield first, function(first)
+    count = threads or os.cpu_count() or 1
+    with ThreadPoolExecutor(count) as pool:
+        for part in rest:
+            waiting.append((part, pool.submit(function, part)))
+            if len(waiting) > count:
+                done, future = waiting.popleft()
+                yield done, future.result()
+        for done, future in waiting:
+            yield done, future.result()
+
+
 def choose_points(follower: Follower, tolerance: float, spacing: float | None = None) -> PathPoints:
     """Choose points such that joints that move evenly between them leave the path by at most a tolerance.
 
@@ -94,14 +124,20 @@ def choose_points(follower: Follower, tolerance: float, spacing: float | None = 
         spacing = min(follower.unit / _SPACINGS, float(sizes.sum()) / _LEAST_POINTS) or follower.unit
     parts = np.ones(count, dtype=np.int64)
     scale = follower.unit / robot.velocity_scale
-    for first in range(0, count, BLOCK):
-        moves = np.arange(first, min(first + BLOCK, count))
+
+    def bends(part: slice) -> tuple[Matrix, Mask]:
+        moves = np.arange(part.start, part.stop)
         bent, legal = np.zeros((3, len(moves))), np.zeros((3, len(moves)), dtype=bool)
         for k, share in enumerate((0.0, 0.5, 1.0)):
             motion = follower.motion(moves, np.full(len(moves), share), sizes)
             follower.require_agreement(motion.poses, motion.targets, moves, tolerance)
             bent[k] = np.abs(motion.joints_second * scale).max(axis=1, initial=0.0) / 8.0
             legal[k] = motion.poses.within_limits & (motion.poses.branch == 0)
+        return bent, legal
+
+    blocks = [slice(first, min(first + BLOCK, count)) for first in range(0, count, BLOCK)]
+    for part, (bent, legal) in in_blocks(bends, blocks, robot.threads):
+        moves = np.arange(part.start, part.stop)
         worst = np.where(np.isfinite(bent).all(axis=0), bent.max(axis=0), sizes[moves] ** 2 / (8.0 * follower.unit))
         needed = np.maximum(np.sqrt(worst / tolerance), sizes[moves] / spacing)
         needed = np.minimum(np.ceil(np.nan_to_num(needed, nan=1.0)), _MAX_PARTS).astype(np.int64)
@@ -163,13 +199,17 @@ def plan_motion(follower: Follower, points: PathPoints, limits: MotionLimits, to
     drive_limit = drive_limits(follower, limits.drive_acceleration, np.inf)
     metric, ceiling, tangential = np.zeros(n), np.zeros(n), np.zeros(n)
     turns = np.zeros(n, dtype=bool)
-    for part in points.blocks():
+
+    def bound(part: slice) -> None:
         motion = follower.motion(points.moves[part], points.shares[part], points.sizes)
         metric[part], change, turns[part] = path_metric(path, motion)
         first, second = (x[:, robot.actuated_indices] for x in along_path(motion, metric[part], change))
         ceiling[part] = np.minimum(_least(speed_limit, first), np.sqrt(_least(0.5 * drive_limit, second)))
         greatest = np.where(turns[part], limits.acceleration / follower.unit, limits.acceleration)
         tangential[part] = np.minimum(greatest, _least(0.5 * drive_limit, first))
+
+    for _ in in_blocks(bound, points.blocks(), robot.threads):
+        pass
     metric = np.where(np.isfinite(metric), metric, points.sizes[points.moves])
     inside = points.moves[1:] == points.moves[:-1]
     mean = np.where(inside, 0.5 * (metric[1:] + metric[:-1]), metric[1:])

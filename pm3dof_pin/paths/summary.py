@@ -47,7 +47,8 @@ class PathSummary:
         count = len(robot.commands)
         self._squares, self._driving, self._lasting = np.zeros(count), np.zeros(count), 0.0
         self._peaks: dict[str, list[tuple[float, int]]] = {name: [(math.nan, 0)] * count for name in _MOMENTS}
-        self._ceilings: dict[int, float] = {}
+        self._of_line = np.unique(lines)
+        self._ceilings = np.full(len(self._of_line), np.inf)
 
     def add(self, columns: Mapping[str, Array], lasting: Vector) -> None:
         """Add a block of points, each of which stands for a time, shape=(n,) [s]."""
@@ -70,9 +71,7 @@ class PathSummary:
         self._time, self._energy = float(columns["time_s"][-1]), float(columns["energy_J"][-1])
         self._add_drives(columns, lines, lasting)
         ceilings = np.nan_to_num(columns["feed_ceiling_m_s"], nan=np.inf)
-        starts = np.flatnonzero(np.diff(lines, prepend=-1))
-        for line, least in zip(lines[starts].tolist(), np.minimum.reduceat(ceilings, starts).tolist(), strict=True):
-            self._ceilings[line] = min(self._ceilings.get(line, math.inf), least)
+        np.minimum.at(self._ceilings, np.searchsorted(self._of_line, lines), ceilings)
 
     def _add_drives(self, columns: Mapping[str, Array], lines: NDArray[np.int64], lasting: Vector) -> None:
         for k in range(len(self._robot.commands)):
@@ -118,8 +117,8 @@ class PathSummary:
         data |= {key: value for key, (value, _) in self._worst.items()}
         data["lines"] = {key: line for key, (_, line) in self._worst.items()}
         data["drives"] = [self._drive(k) for k in range(len(robot.commands))]
-        finite = {line: value for line, value in self._ceilings.items() if math.isfinite(value)}
-        data["feed_ceilings"] = {"line": list(finite), "feed_m_s": list(finite.values())}
+        finite = np.isfinite(self._ceilings)
+        data["feed_ceilings"] = {"line": self._of_line[finite], "feed_m_s": self._ceilings[finite]}
         return data
 
     def _drive(self, k: int) -> dict[str, Any]:
