@@ -102,7 +102,7 @@ def path(
         float | None,
         typer.Option(
             metavar="D",
-            help="Greatest distance of points [m]; 1/50 of the robot's size or 1/500 of the path by default.",
+            help="Greatest distance of points [m]; 1/50 of the robot's size or 1/2000 of the path by default.",
             parser=finite_number,
         ),
     ] = None,

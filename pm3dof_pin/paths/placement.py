@@ -64,12 +64,17 @@ class PlacementSearch:
     def __init__(self, robot: Robot, path: ToolPath, goal: Goal, options: PathOptions) -> None:
         self._follower = Follower(with_tool_length(robot, options.tool_length), path, options.table)
         self.robot, self._options, self._goal = self._follower.robot, options, goal
-        cutting = np.flatnonzero(~path.rapid)
-        cutting = cutting if len(cutting) else np.arange(len(path))
-        shares = np.linspace(0.0, 1.0, max(-(-_POINTS // len(cutting)), 1) + 1)[1:]
-        moves = np.repeat(cutting, len(shares))
-        every = -(-len(moves) // _POINTS)
-        self.targets = path.values(moves, np.tile(shares, len(cutting)))[::every]
+        own = path.system != MACHINE
+        after_own = np.insert(own[:-1], 0, False)  # other moves start where the machine is, not the workpiece
+        count = len(path)
+        shares = np.linspace(0.0, 1.0, max(-(-_POINTS // count), 1) + 1)[1:]
+        moves, along = np.repeat(np.arange(count), len(shares)), np.tile(shares, count)
+        kept = own[moves] & (after_own[moves] | (along == 1.0))
+        moves, along = moves[kept], along[kept]
+        every = max(-(-len(moves) // _POINTS), 1)
+        self.targets = path.values(moves, along)[::every]
+        cutting = ~path.rapid[moves][::every]
+        self.cutting = cutting if cutting.any() else ~cutting
         self.centre = 0.5 * (self.targets[:, :3].min(axis=0) + self.targets[:, :3].max(axis=0))
         self.force = None if self._options.force is None else np.asarray(self._options.force, dtype=float)
         self._quality = self._measure(robot)
@@ -124,7 +129,7 @@ class PlacementSearch:
         quality, within = self.judged(targets.reshape(-1, 6))
         quality, within = quality.reshape(targets.shape[:2]), within.reshape(targets.shape[:2])
         beyond = np.mean(~within | ~np.isfinite(quality), axis=1)
-        worst = np.nanmax(np.where(within, quality, 0.0), axis=1, initial=0.0)
+        worst = np.nanmax(np.where(within & self.cutting, quality, 0.0), axis=1, initial=0.0)
         return np.asarray(np.where(beyond > 0.0, _BEYOND * (1.0 + beyond), worst))
 
     def judged(self, targets: Matrix) -> tuple[Vector, NDArray[np.bool_]]:
@@ -172,7 +177,7 @@ def place_path(
     r"""Search the placement of the workpiece at which a path is best.
 
     The workpiece is moved in the directions in which the robot moves its tool, within the ranges of its coordinates.
-    Only moves with a feed are judged: rapids from home change with the placement.
+    Moves that start at home of the machine count at their ends only; rapids count for the limits alone.
 
     Example:
         >>> from pathlib import Path

@@ -25,7 +25,7 @@ BLOCK = 16384
 
 _MAX_PARTS = 100_000  # of one move
 _NEAR = 1e-5  # share of a move that gives the direction of its end
-_SPACINGS, _LEAST_POINTS = 50.0, 500.0  # of points by default: per characteristic length, and of the whole path
+_SPACINGS, _LEAST_POINTS = 50.0, 2000.0  # of points by default: per characteristic length, and of the whole path
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def choose_points(follower: Follower, tolerance: float, spacing: float | None = 
     Args:
         follower: the robot on the path.
         tolerance: greatest deviation [m], of angles times the characteristic length.
-        spacing: greatest distance of points [m]; by default a fiftieth of the characteristic length, or a 500th of the
+        spacing: greatest distance of points [m]; by default a fiftieth of the characteristic length, or a 2000th of the
             path if that is less.
 
     Raises:

@@ -151,3 +151,19 @@ def test_report_escapes_names(tmp_path: Path) -> None:
     page = path_report(evaluate_path(robot, read_path(robot, file)), "<b>&path")
     assert "<b>&path" not in page
     assert "&lt;b&gt;&amp;path on pm3dof" in page
+
+
+@pytest.mark.parametrize("name", ["hexapod", "linear_delta"])
+def test_program_and_limits_of_an_exported_controller(name: str, run: Callable[..., Any], tmp_path: Path) -> None:
+    """The stops of an exported machine have the joints that Pinocchio computed for its check."""
+    assert run("export", "linuxcnc", "--robot", name, "--out", "machine", cwd=tmp_path).returncode == 0
+    folder, robot = tmp_path / "machine", pm.load(name)
+    limits = controller_limits(robot, folder / f"{name}.ini")
+    found = evaluate_path(robot, read_path(robot, folder / "check.ngc"), PathOptions(limits=limits, spacing=0.05))
+    assert found.summary["within_limits"]
+    header, *rows = [line.split(",") for line in (folder / "check_joints.csv").read_text().splitlines()]
+    joints = [k for k, word in enumerate(header) if word.startswith("joint_")]
+    expected = 1e-3 * np.array([[float(row[k]) for k in joints] for row in rows])
+    dwells = (found.points.sizes[found.points.moves] == 0.0) & (found.points.shares == 1.0)
+    commands = np.stack([found.columns[f"u{k + 1}_m"] for k in range(len(joints))], axis=1)[dwells]
+    np.testing.assert_allclose(commands, expected, rtol=0.0, atol=1e-9)
