@@ -18,7 +18,7 @@ from pm3dof_pin.paths.time_law import Speeds, corner_speed, look_ahead
 from pm3dof_pin.paths.tool_path import ToolPath
 from pm3dof_pin.typing import Array, Indices, Mask, Matrix, Vector
 
-_Result = TypeVar("_Result")
+Result = TypeVar("Result")
 
 BLOCK = 16384
 """Points at a time, to bound the memory."""
@@ -76,13 +76,13 @@ class TimedPoints:
 
 
 def in_blocks(
-    function: Callable[[slice], _Result], blocks: Iterable[slice], threads: int | None
-) -> Iterator[tuple[slice, _Result]]:
+    function: Callable[[slice], Result], blocks: Iterable[slice], threads: int | None
+) -> Iterator[tuple[slice, Result]]:
     """Yield each block and the function's result in order, computed by threads ahead of the consumer, few at a time.
 
     The first block is computed alone: it makes what the others share, such as compiled programs.
     """
-    waiting: deque[tuple[slice, Future[_Result]]] = deque()
+    waiting: deque[tuple[slice, Future[Result]]] = deque()
     rest = iter(blocks)
     if (first := next(rest, None)) is None:
         return
