@@ -51,6 +51,7 @@ TOLERANCE = 1e-5
 """Greatest deviation from the path between points by default [m]."""
 
 _THINNED = 4000  # points
+_JUMP = 0.1  # of an open chain between points, beyond what its motion explains [rad, characteristic lengths]
 
 Columns = dict[str, Array]
 """Columns of numbers by name, shape=(n,) each."""
@@ -129,6 +130,7 @@ class PathEvaluation:
         for part, (columns, work) in in_blocks(self._block, self.points.blocks(), self.robot.threads):
             # work has places and forces of the drives' joints
             work = work if before is None else np.concatenate([before, work], axis=1)
+            self._mark_jumps(columns, work, part)
             steps = 0.5 * (work[1, 1:] + work[1, :-1]) * np.diff(work[0], axis=0)
             total = energy + np.cumsum(np.nan_to_num(steps.sum(axis=1)))
             columns["energy_J"] = np.append(0.0, total) if before is None else total
@@ -213,7 +215,22 @@ class PathEvaluation:
             columns |= self._elastic(poses, motions, wrenches, tool)
         columns |= self._errors(poses, wrenches)
         joints = [robot.single_joint(name).coordinate(poses.q) for name in robot.actuated_joints]
-        return columns, np.stack([np.unwrap(np.stack(joints, axis=-1), axis=0), forces])
+        rates = first[:, robot.actuated_indices]
+        return columns, np.stack([np.unwrap(np.stack(joints, axis=-1), axis=0), forces, rates])
+
+    def _mark_jumps(self, columns: Columns, work: Array, part: slice) -> None:
+        """Mark points to which an open chain gets from the point before by a jump: to another of its solutions.
+
+        A robot with loops has numbered branches instead. `work` has places, forces and rates by the length of the path
+        of the drives' joints, of the points and if there is one of the point before.
+        """
+        if self.robot.has_loops:
+            return
+        scale = self.robot.velocity_scale[self.robot.actuated_indices]
+        steps, length = np.abs(np.diff(work[0], axis=0)), self.timed.length[part]
+        most = _JUMP * scale + 2.0 * np.abs(work[2, 1:]) * length[-len(steps) :, None] if len(steps) else steps
+        jumps = np.flatnonzero((steps > most).any(axis=1)) + len(length) - len(steps)
+        columns["branch"][jumps], columns["within_limits"][jumps] = 1.0, 0.0
 
     @property
     def coordinate_names(self) -> list[str]:

@@ -282,3 +282,35 @@ def test_blocks_are_like_the_whole(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     for name, column in whole.columns.items():
         np.testing.assert_allclose(parts.columns[name], column, rtol=1e-6, atol=1e-9, err_msg=name)
     assert parts.summary["greatest_deflection_m"] == pytest.approx(whole.summary["greatest_deflection_m"])
+
+
+def test_jump_of_an_arm_to_its_other_elbow_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    links = "".join(
+        f'<joint name="{joint}" type="revolute"><parent link="{parent}"/><child link="{child}"/><origin xyz="{x} 0 0"/>'
+        '<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="10" velocity="2"/></joint>'
+        for joint, parent, child, x in (("shoulder", "base", "arm", 0.0), ("elbow", "arm", "forearm", 0.5))
+    )
+    links += (
+        '<joint name="tip" type="fixed"><parent link="forearm"/><child link="tool"/><origin xyz="0.4 0 0"/></joint>'
+    )
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    parts = "".join(f'<link name="{name}">{body}</link>' for name in ("base", "arm", "forearm", "tool"))
+    file = tmp_path / "arm.urdf"
+    file.write_text(f'<robot name="arm">{parts}{links}</robot>')
+    arm = pm.load(file, tool_frame="tool").replace(actuated_joints=("shoulder", "elbow"))
+    ends = np.array([[0.5, 1.0], [0.6, 1.2]])
+    path = ToolPath(lines=np.array([1]), start=ends[:1], end=ends[1:], names=("shoulder", "elbow"))
+    assert evaluate_path(arm, path).summary["points_off_branch"] == 0
+    original = ToolPath.values
+
+    def other_elbow(path: ToolPath, moves: Array, shares: Array) -> Array:
+        """Return the other solution of the same positions after the middle of the move."""
+        found = original(path, moves, shares)
+        shoulder, elbow = found.T
+        turned = shoulder + 2.0 * np.arctan2(0.4 * np.sin(elbow), 0.5 + 0.4 * np.cos(elbow))
+        return np.where((shares > 0.5)[:, None], np.stack([turned, -elbow], axis=1), found)
+
+    monkeypatch.setattr(ToolPath, "values", other_elbow)
+    jumping = evaluate_path(arm, path)
+    assert jumping.summary["points_off_branch"] == 1
+    assert not jumping.summary["within_limits"]
