@@ -354,6 +354,11 @@ def _identification_summary(found: Identification) -> dict[str, Any]:
             for name, value, of_data, sigma, tolerance, unit in rows
         },
         "stiffness": {
-            name: {"factor": factor, "sigma_of_logarithm": sigma} for name, (factor, sigma) in found.stiffness.items()
+            name: {
+                "factor": factor,
+                "sigma_of_logarithm": sigma,
+                "share_of_the_data": found.stiffness_shares[name],
+            }
+            for name, (factor, sigma) in found.stiffness.items()
         },
     }

@@ -124,6 +124,12 @@ class Identification:
         return dict(zip(self.elastic.springs, pairs, strict=True))
 
     @property
+    def stiffness_shares(self) -> dict[str, float]:
+        """Share of the data in what is known of each spring: 1 minus its variance over the prior's, from 0 to 1."""
+        shares = np.clip(1.0 - (self.stiffness_sigmas / self.elastic.sigmas) ** 2, 0.0, 1.0)
+        return dict(zip(self.elastic.springs, shares.tolist(), strict=True))
+
+    @property
     def data_sigmas(self) -> Array:
         """Standard deviation of each parameter by what the data say, given noise and prior, shape=(parameters,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
@@ -226,9 +232,10 @@ class Identification:
 
     @cached_property
     def prior_dominated(self) -> tuple[str, ...]:
-        """Parameters that the measurements hardly determine, so that they keep the prior's value."""
-        dominated = self.shrinkage >= PRIOR_DOMINATED
-        return tuple(name for name, flag in zip(self.errors.names, dominated, strict=True) if flag)
+        """Parameters and springs (`spring.ln_k`) that measurements hardly determine: they keep the prior's value."""
+        names, _ = self.elastic.with_parameters(self.errors)
+        dominated = np.concatenate([self.shrinkage, self.stiffness_sigmas / self.elastic.sigmas]) >= PRIOR_DOMINATED
+        return tuple(name for name, flag in zip(names, dominated, strict=True) if flag)
 
     def settle(self, measurements: Measurements) -> Measurements:
         """Return other measurements of the session in this base, minus the effects of the nuisance parameters."""

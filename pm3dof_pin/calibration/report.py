@@ -211,12 +211,17 @@ def _parameters(found: Identification, picture: Figure) -> list[str]:
 def _stiffness(found: Identification) -> list[str]:
     if not found.stiffness:
         return []
-    rows = [(name, f"{factor:.3f}", f"{100.0 * sigma:.1f}") for name, (factor, sigma) in found.stiffness.items()]
+    shares = found.stiffness_shares
+    rows = [
+        (name, f"{factor:.3f}", f"{100.0 * sigma:.1f}", f"{100.0 * shares[name]:.0f}")
+        for name, (factor, sigma) in found.stiffness.items()
+    ]
     return [
         "<h2>Identified stiffness</h2>",
-        "<p>From the deflections under the measured wrenches. A spring whose uncertainty remains at "
-        f"{100.0 * STIFFNESS_SIGMA:.0f} % is as described: the measurements do not determine it.</p>",
-        html_table(("spring", "stiffness relative to the description", "sigma [%]"), rows),
+        "<p>From the deflections under the measured wrenches. A spring whose uncertainty remains near "
+        f"{100.0 * STIFFNESS_SIGMA:.0f} %, with little from the data, is as described: the measurements do not "
+        "determine it.</p>",
+        html_table(("spring", "stiffness relative to the description", "sigma [%]", "from the data [%]"), rows),
     ]
 
 

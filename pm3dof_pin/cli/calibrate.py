@@ -174,6 +174,12 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
             ]
         ),
     ]
+    if found.stiffness:
+        undetermined = [spring for spring in found.stiffness if f"{spring}.ln_k" in found.prior_dominated]
+        held = ", ".join(name for name in found.stiffness if name not in undetermined)
+        lines.append(
+            f"stiffness determined by the data: {held or 'none'}; as described: {', '.join(undetermined) or 'none'}"
+        )
     for kind in ("drift", "hysteresis"):
         if (moved := summary.get(kind)) is not None and moved["more_than_chance"]:
             size, sigma = (1e6 * moved[key] for key in ("tip_error_m", "tip_sigma_m"))

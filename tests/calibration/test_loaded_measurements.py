@@ -82,6 +82,24 @@ def test_springs_and_geometry_are_found_within_their_uncertainty(
     assert min(sigma for _, sigma in found.stiffness.values()) < 0.025  # the softest are known far better than before
 
 
+def test_what_the_prior_holds_is_not_called_determined() -> None:
+    """Actuators at 0.75 of the description, loads too small to see it: they come back as described, and it is said."""
+    errors, generator = GeometricErrors.load("pm3dof"), np.random.default_rng(1)
+    drives = [f"actuator{k}" for k in (1, 2, 3)]
+    truth = GeometricErrors(stiffened(errors.robot, dict.fromkeys(drives, 0.75)), errors.parameters)
+    world = World(SimulatedMachine(truth.robot, elastic=ElasticDeflection(own_weight=False))).loaded(0.0, STRONGEST)
+    commands = reachable_poses(errors.robot, 45, generator).commands
+    measured = world.measure(commands, generator, Instrument(position_sigma=3e-5, angle_sigma=1.5e-4))
+    found = fit(measured, errors, Options("lm")).identification
+    leg, others = found.stiffness_shares.pop("passive_leg"), found.stiffness_shares
+    assert leg > 0.99
+    assert "passive_leg.ln_k" not in found.prior_dominated
+    for drive in drives:
+        assert others[drive] < 0.2
+        assert f"{drive}.ln_k" in found.prior_dominated
+        assert abs(np.log(found.stiffness[drive][0] / 0.75)) < 3.0 * found.stiffness[drive][1]
+
+
 def test_commands_allow_for_a_wrench(loaded: tuple[World, dict[str, float], Fit]) -> None:
     """The true machine is commanded under 500 N sideways."""
     world, _, calibration = loaded
