@@ -13,6 +13,7 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
 from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.mobility import instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.typing import Array, Mask
@@ -26,14 +27,20 @@ _MAX_DRAWS = 4  # per round, relative to the number of poses requested
 _NEAR = 0.2  # edge length of the cells from whose centres draws are walked to [rad, characteristic lengths]
 _DRAWS_A_CELL = 1
 _KEPT = "_random_draws"
+_WALKERS = 64
+_TO_FORGET_HOME = 16  # steps of a walk, for each dimension
+_STEPS_APART = 4  # between poses of one walk, for each dimension
+_TAKEN = 0.3  # part of the steps that lead to poses within limits, about the best for walks in many dimensions
 
 
 def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *, margin: float = 0.0) -> Poses:
     """Draw poses within all limits, uniformly over the coordinates.
 
-    If the coordinates have no ranges, or limits exclude nearly all of these (six degrees of freedom with short struts),
-    poses are drawn uniformly over the commands instead. None are so near to singular poses that Newton's method does
-    not converge.
+    Where the coordinates have no ranges or do not determine the drives, or limits exclude nearly all of them (six
+    degrees of freedom with short struts), poses are drawn uniformly over the commands instead. Where limits exclude
+    nearly all of these too, as with many drives, poses are those of random walks from home that turn back at limits: in
+    the long run uniform over the commands, too, or over the coordinates if the commands depend on each other. None are
+    so near to singular poses that Newton's method does not converge.
 
     Example:
         >>> import numpy as np
@@ -77,11 +84,45 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
             found = np.concatenate([found, draws.within_limits(batch, generator)])
             drawn += batch
     robot.assemble()  # says so if the loops are open at home
-    raise UnreachablePoseError(f"{robot.name}: hardly any random pose is within all joint limits")
+    found = _walked(robot, count, generator, margin)
+    if len(found) < count:
+        raise UnreachablePoseError(f"{robot.name}: hardly any random pose is within all joint limits")
+    return robot.at(found)
+
+
+def _walked(robot: Robot, count: int, generator: np.random.Generator, margin: float) -> Array:
+    """Return poses of walks from home that stay where a step would break a limit, shape=(n, nq); none if they cannot.
+
+    Steps are as likely as their opposites, so walks are uniform in the long run (N. Metropolis et al., 1953).
+    """
+    draws = _Draws.kept(robot, _drives_are_independent(robot), margin)
+    size, width = len(draws.lower), draws.upper - draws.lower
+    q, values = np.tile(robot.home.q, (_WALKERS, 1)), np.tile(draws.home, (_WALKERS, 1))
+    length, taken, poses = 1.0 / np.sqrt(size), 0, np.zeros((0, q.shape[1]))
+    for step in range(_TO_FORGET_HOME * size + _STEPS_APART * size * math.ceil(count / _WALKERS)):
+        further = values + generator.uniform(-0.5, 0.5, values.shape) * length * width
+        inside = np.flatnonzero(((draws.lower <= further) & (further <= draws.upper)).all(axis=1))
+        found, is_within = draws.solved(further[inside], q[inside])
+        moved = inside[is_within]
+        q[moved], values[moved] = found[is_within], further[moved]
+        taken += len(moved)
+        if step < _TO_FORGET_HOME * size:  # thereafter the length is fixed
+            length *= 1.1 if len(moved) > _TAKEN * _WALKERS else 0.9
+            if step == size and not taken:
+                break
+        elif (step + 1 - _TO_FORGET_HOME * size) % (_STEPS_APART * size) == 0:
+            poses = np.concatenate([poses, q])
+    return poses[:count]
+
+
+def _drives_are_independent(robot: Robot) -> bool:
+    return not robot.has_loops or instantaneous_mobility(robot.home).count >= len(robot.command_coordinates) > 0
 
 
 def _has_ranges(robot: Robot) -> bool:
-    """Return whether to draw coordinates: they have ranges, or the drives depend on each other."""
+    """Return whether to draw coordinates: they determine the drives, and have ranges, or the drives are dependent."""
+    if len(robot.coordinates) < len(robot.command_coordinates) and _drives_are_independent(robot):
+        return False
     if all(c.joint is not None or np.isfinite(robot.range_of(c)).all() for c in robot.coordinates):
         return True
     return bool(robot.closures) and len(robot.coordinates) < len(robot.command_coordinates)
@@ -95,7 +136,7 @@ class _Draws:
     """
 
     def __init__(self, robot: Robot, coordinates: tuple[Coordinate, ...], lower: Array, upper: Array) -> None:
-        self._robot, self._coordinates, self._lower, self._upper = robot, coordinates, lower, upper
+        self._robot, self._coordinates, self.lower, self.upper = robot, coordinates, lower, upper
         sizes = np.ceil((upper - lower) / (_NEAR * coordinate_scales(robot, coordinates)))
         self._sizes = np.maximum(sizes, 1.0).astype(int)
 
@@ -111,6 +152,16 @@ class _Draws:
             spare = margin * (upper - lower)
             kept[by_commands, margin] = cls(robot, coordinates, lower + spare, upper - spare)
         return kept[by_commands, margin]
+
+    @property
+    def home(self) -> Array:
+        """The values at home."""
+        robot = self._robot
+        return robot.home_coordinates if self._coordinates == robot.coordinates else robot.home.commands
+
+    def solved(self, values: Array, starts: Array) -> tuple[Array, Mask]:
+        """Return the poses at values, walked to from starts, shape=(n, nq), and which are within all limits."""
+        return _solved(self._robot, self._coordinates, values, starts)
 
     @property
     def cells(self) -> int:
@@ -138,15 +189,15 @@ class _Draws:
         if not near.any() or any(np.isnan(steps).all(axis=0).any() for steps in differences):
             return self, 1.0
         widening = np.sum([np.nanmax(steps, axis=0) for steps in differences], axis=0)
-        lower = np.maximum(self._lower, values[near].min(axis=0) - widening)
-        upper = np.minimum(self._upper, values[near].max(axis=0) + widening)
-        left = float(np.prod((upper - lower) / (self._upper - self._lower)))
+        lower = np.maximum(self.lower, values[near].min(axis=0) - widening)
+        upper = np.minimum(self.upper, values[near].max(axis=0) + widening)
+        left = float(np.prod((upper - lower) / (self.upper - self.lower)))
         return _Draws(self._robot, self._coordinates, lower, upper), left
 
     def within_limits(self, count: int, generator: np.random.Generator) -> Array:
         """Return those of `count` draws that are within all limits, shape=(n, nq)."""
         shares = generator.uniform(size=(count, len(self._coordinates)))
-        values = self._lower + shares * (self._upper - self._lower)
+        values = self.lower + shares * (self.upper - self.lower)
         if _DRAWS_A_CELL * self.cells > count:
             q, is_within = _solved(self._robot, self._coordinates, values)
         else:
@@ -160,10 +211,10 @@ class _Draws:
     @cached_property
     def _cells(self) -> tuple[Array, Mask]:
         """Starts of walks in each cell, and whether its centre or a neighbour's is within limits."""
-        steps = (self._upper - self._lower) / self._sizes
+        steps = (self.upper - self.lower) / self._sizes
         axes = {
             c.name: first + step * (np.arange(size) + 0.5)
-            for c, first, step, size in zip(self._coordinates, self._lower, steps, self._sizes, strict=True)
+            for c, first, step, size in zip(self._coordinates, self.lower, steps, self._sizes, strict=True)
         }
         q, is_within = _solved(self._robot, self._coordinates, Grid(self._coordinates, axes, {}).values)
         starts = np.where(np.isnan(q[..., :1]), self._robot.home.q, q)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,12 @@ import pytest
 from scipy.stats import ks_2samp
 
 from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import stacked
 
 
 def test_a_block_has_no_poses_to_choose_from(tmp_path: Path) -> None:
@@ -32,3 +37,25 @@ def test_a_robot_that_reaches_a_small_part_of_its_box() -> None:
     expected = drawn.coordinates[drawn.within_limits]
     for ours, theirs in zip(found.T, expected.T, strict=True):
         assert ks_2samp(ours, theirs).pvalue > 1e-3
+
+
+def test_walks_from_home_are_as_even_as_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where hardly any draw is within limits, walks replace them: here for a robot that could do without."""
+    robot = Robot.load("hexapod")
+    lower, upper = coordinate_ranges(robot, robot.command_coordinates)
+    drawn = robot.forward(np.random.default_rng(2).uniform(lower, upper, (3000, 6)), on_failure="nan")
+    expected = drawn[drawn.within_limits]
+    monkeypatch.setattr("pm3dof_pin.kinematics.reachable_poses._MIN_RATE", 2.0)
+    found = reachable_poses(robot, 300, np.random.default_rng(1))
+    assert found.within_limits.all()
+    for ours, theirs in ((found.commands, expected.commands), (found.coordinates, expected.coordinates)):
+        assert min(ks_2samp(a, b).pvalue for a, b in zip(ours.T, theirs.T, strict=True)) > 1e-3
+
+
+def test_stacked_hexapods_use_all_their_drives(tmp_path: Path) -> None:
+    """Six coordinates do not determine twelve drives, and few random commands of eighteen are within all limits."""
+    for count in (2, 3):
+        robot = Robot.load(stacked(count).write(tmp_path / str(count)))
+        found = reachable_poses(robot, 64, np.random.default_rng(0))
+        assert found.within_limits.all()
+        assert (np.ptp(found.commands, axis=0) > 0.06).all()  # of 0.1
