@@ -7,6 +7,9 @@ tool moves by
 
 G is the constraint Jacobian, J the tool's, P_G and P_x the effects of the errors alone on closures and tool. An error
 is a twist of everything beyond its place, like the rate of a joint located there, so one piece of code gives all four.
+
+More drives than degrees of freedom agree only on some commands, and errors change these. Such drives are taken for
+equally stiff: they give way by the least norm, in radians and characteristic lengths, and the tool moves accordingly.
 """
 
 from __future__ import annotations
@@ -77,8 +80,8 @@ def sensitivities(
     Raises:
         InvalidValueError: a pose is not solved; or the loops cannot close with an error (for overconstrained or planar
             robots); see :func:`closable`.
-        SingularConfigurationError: at some pose the tool can move with all drives locked, or a drive cannot move
-            without others, as with more drives than degrees of freedom.
+        SingularConfigurationError: at some pose the tool can move with all drives locked, or independent drives cannot
+            move one by one.
     """
     require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
     require_kind("poses", poses, Poses, "Robot.solve")
@@ -165,7 +168,9 @@ def _keep_closable(errors: GeometricErrors, values: Vector, more: NDArray[np.int
     trial[more] = True
     crooked = errors.apply(np.where(trial, values, 0.0))
     # one pose is enough: the others may be out of reach of such a machine
-    if crooked.forward(poses.commands, guess=poses.q, on_failure="nan", engine="pinocchio").solved.any():
+    shared = len(poses.robot.placing_drives) < len(poses.robot.commands)  # their commands agree only without errors
+    solve, values_there = (crooked.solve, poses.coordinates) if shared else (crooked.forward, poses.commands)
+    if solve(values_there, guess=poses.q, on_failure="nan", engine="pinocchio").solved.any():
         kept[:] = trial
     elif len(more) > 1:
         for half in np.array_split(more, 2):
@@ -233,14 +238,40 @@ class _Loops:
         strain = pushed - left @ (np.where(values > noise, 1.0, 0.0)[:, :, None] * in_range)
         unit = np.abs(pushed).max(axis=1) + 1.0
         strain = np.abs(strain).max(axis=1) / unit
+        excess = len(driven) - len(robot.placing_drives)
+        if excess:
+            return self._shared_rates(rates, passive, pushed, excess)
         bound = np.flatnonzero(strain[:, : len(driven)].max(axis=0, initial=0.0) > RANK_TOLERANCE)
         if bound.size:
             raise SingularConfigurationError(
                 f"{robot.name}: drives {', '.join(robot.actuated_joints[k] for k in bound)} cannot move one by one: "
-                "there are more of them than degrees of freedom, or a pose is singular. Held at their commands, they "
-                "strain the machine with any error, and its springs decide: expected independent drives (name_mot)"
+                "a pose is singular, or there are more drives than needed: expected independent drives (name_mot)"
             )
         return rates, strain
+
+    def _shared_rates(self, rates: Array, passive: Array, pushed: Array, excess: int) -> tuple[Array, Array]:
+        """Return what :meth:`followed_rates` does, of more drives than degrees of freedom.
+
+        They give way by the least norm, in radians and units of length, as equally stiff drives do.
+        """
+        robot, driven = self._robot, self._robot.actuated_indices
+        free, scale = robot.passive_indices, robot.velocity_scale
+        inverse = np.linalg.pinv(passive, rcond=RANK_TOLERANCE)
+        unmet = pushed - passive @ (inverse @ pushed)
+        give = np.where(scale[driven] == 1.0, 1.0, robot.length_unit)
+        by_drives = unmet[:, :, : len(driven)] * give
+        sizes = np.linalg.svd(by_drives, compute_uv=False)
+        noise = RANK_TOLERANCE * np.abs(pushed).max(axis=(1, 2), initial=0.0)
+        singular = np.flatnonzero((sizes > noise[:, None]).sum(axis=1) != excess)
+        if singular.size:
+            raise SingularConfigurationError(f"{robot.name}: its drives lose or gain a relation at pose {singular[0]}")
+        given = -(np.linalg.pinv(by_drives, rcond=0.5 * sizes[:, excess - 1 : excess].min() / sizes.max()) @ unmet)
+        given *= give[:, None]
+        followed = -(inverse @ (pushed + pushed[:, :, : len(driven)] @ given))
+        rates[:, free] = scale[free][:, None] * followed
+        rates[:, driven] += given
+        left = pushed + passive @ followed + pushed[:, :, : len(driven)] @ given
+        return rates, np.abs(left).max(axis=1) / (np.abs(pushed).max(axis=1) + 1.0)
 
     def tool_motions(self, rates: Array) -> Array:
         """Return the tool's motion by errors, then by drives, given the velocities that result from them."""

@@ -116,7 +116,13 @@ def _traced(
     displaced, order = _displacements(tree, errors, local_twists, at_zero=at_zero)
     doubt = Doubt()
     by_errors, by_drives = response_to_displacements(
-        tree, tool, passive, joint_columns(tree, driven, tool), displaced, doubt
+        tree,
+        tool,
+        passive,
+        joint_columns(tree, driven, tool),
+        displaced,
+        doubt,
+        shared=len(robot.placing_drives) < len(driven),
     )
     by_errors = by_errors[:, np.argsort(order)]
     outputs = reduce(Motions(graph, by_errors, by_drives, doubt))

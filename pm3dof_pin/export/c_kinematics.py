@@ -10,7 +10,7 @@ import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.export.controller import Controller, CorrectionTable
-from pm3dof_pin.kinematics.robot import CONTRADICTION
+from pm3dof_pin.kinematics.shared_commands import AGREEING
 from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales
 from pm3dof_pin.programs.c import Real, function_lines, harmless, in_type, number, walk_lines
 from pm3dof_pin.programs.walk import LEG
@@ -535,9 +535,7 @@ def _contradiction(controller: Controller) -> str:
         if np.isfinite(turns[k]):
             turn = number(float(turns[k]))
             off = f"{off} - {turn} * floor(({off}) / {turn} + 0.5)"
-        lines.append(
-            f"  if (!(fabs({off}) <= {number(CONTRADICTION * float(scales[k]))}))\n    return NAME_CONTRADICTION;"
-        )
+        lines.append(f"  if (!(fabs({off}) <= {number(AGREEING * float(scales[k]))}))\n    return NAME_CONTRADICTION;")
     return "\n".join(lines)
 
 

@@ -34,7 +34,8 @@ from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.kinematics.pose_search import Solution, Solver, find_poses
 from pm3dof_pin.kinematics.reference import Reference, assemble_at
-from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales, unit_slip
+from pm3dof_pin.kinematics.shared_commands import SharedCommands
+from pm3dof_pin.kinematics.units import unit_slip
 from pm3dof_pin.mechanism.configuration import LIMIT_TOLERANCE, Configuration
 from pm3dof_pin.mechanism.robot_description import read_source
 from pm3dof_pin.mechanism.tool_components import tool_components
@@ -68,9 +69,6 @@ class LoadOptions(TypedDict, total=False):
     engine: Engine
     threads: int | None
 
-
-CONTRADICTION = 1e-6
-"""Least difference of contradicting commands of redundant drives [rad, characteristic lengths]."""
 
 REACH = 1
 """Bit of :attr:`Poses.broken_limits` for an unsolved pose; limit group k has bit k + 1."""
@@ -526,8 +524,8 @@ class Robot(PlacedMechanism):
         """Find the poses at commands, shape=(..., number of commands) [m, rad], as :meth:`solve` at coordinates.
 
         Commands are counter readings of the drives; a guess selects the assembly mode. If there are more drives than
-        degrees of freedom, independent ones place the mechanism, and the others must agree within 1e-6 rad or
-        characteristic lengths.
+        degrees of freedom, all are met by least squares in rad and characteristic lengths, as equally stiff drives hold
+        the tool; commands that differ from the pose's by more than 0.002 contradict each other.
         """
         return self._solutions(
             self.command_coordinates, "commands", commands, guess, on_failure, engine, None, branches
@@ -625,13 +623,15 @@ class Robot(PlacedMechanism):
             found = find_poses(self, independent, rows[:, placing], starts, solver, keep_branch=keep)
         contradictions = None
         if len(placing) < len(coordinates):
-            contradictions = self._contradictions(found.q, rows)
-            found = Solution(self.agreeing(found.q, rows))
+            shared = self._shared_commands(engine)
+            contradictions = shared.differences(found.q, rows)
+            found = Solution(shared.poses(found.q, rows, starts, keep_branch=keep))
         failed = np.flatnonzero(np.isnan(found.q[:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
             if contradictions is not None and np.isfinite(contradictions[failed[0]]).all():
-                raise self._contradicting(rows[failed[0]], contradictions[failed[0]], index)
+                worst = shared.worst(contradictions[failed[0]])
+                raise self._contradicting(rows[failed[0]], contradictions[failed[0]], worst, index)
             start = start_of(self) if starts is None else starts[failed[0]]
             raise self._unreachable(independent, rows[failed[0], placing], start, index)
         known: list[Any] = [values if values is None else frozen(values) for values in found]
@@ -671,23 +671,23 @@ class Robot(PlacedMechanism):
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
         return UnreachablePoseError(message, result.residual, reason)
 
-    def _contradictions(self, q: Matrix, commands: Matrix) -> Matrix:
-        """Return the differences of the commands at q from those given, shape=(n, number of commands) [m, rad]."""
-        coordinates = self.command_coordinates
-        differences, turns = self.read(coordinates, q) - commands, coordinate_periods(self, coordinates)
-        angles = np.isfinite(turns)
-        differences[:, angles] -= turns[angles] * np.round(differences[:, angles] / turns[angles])
-        return differences
+    def _shared_commands(self, engine: Engine) -> SharedCommands:
+        """Return what finds poses at the commands of all drives."""
+        if engine not in self._shared:
+            finder = self._finder(self.coordinates, engine)
+            self._shared[engine] = SharedCommands(self, finder, lambda q: self.at(q).coordinates)
+        return self._shared[engine]
 
     def agreeing(self, q: Matrix, commands: Matrix) -> Matrix:
         """Return q, NaN where not all commands are those given."""
-        off = np.abs(self._contradictions(q, commands) / coordinate_scales(self, self.command_coordinates)).max(axis=1)
-        agrees: Matrix = np.where((off <= CONTRADICTION)[:, None], q, np.nan)
-        return agrees
+        return self._shared_commands(self.engine).agreeing(q, commands)
 
-    def _contradicting(self, commands: Vector, off: Vector, which: str) -> UnreachablePoseError:
+    @cached_property
+    def _shared(self) -> dict[Engine, SharedCommands]:
+        return {}
+
+    def _contradicting(self, commands: Vector, off: Vector, worst: int, which: str) -> UnreachablePoseError:
         coordinates, placing = self.command_coordinates, self.placing_drives
-        worst = int(np.argmax(np.abs(off / coordinate_scales(self, coordinates))))
         name, unit = coordinates[worst].name, coordinates[worst].unit
         reason = (
             f"{', '.join(coordinates[k].name for k in placing)} alone determine the pose, with {name} at "

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -29,6 +30,8 @@ from pm3dof_pin.programs.elimination import (
     samples,
     solve_upper,
     total,
+    triangular,
+    without_zeros,
     zeros,
 )
 from pm3dof_pin.programs.graph import is_zero, sqrt
@@ -168,13 +171,16 @@ def response_to_displacements(
     drives: Sequence[Column],
     displacements: Sequence[Displacement],
     doubt: Doubt,
+    *,
+    shared: bool = False,
 ) -> tuple[Objects, Objects]:
     """Record how a frame moves with displacements anywhere, and with drives, as :func:`response` does.
 
     The adjoint way: the sources are the equations themselves, whose number does not grow with that of the
     displacements. Their solution gives six covectors, and further ones that must vanish, for whatever moves the same
     frames; a displacement is their product with a twist. Returns the frame's twists for one unit of each, shape=(6, k),
-    and for one unit of each drive, shape=(6, u).
+    and for one unit of each drive, shape=(6, u). If they are shared by more drives than degrees of freedom, these give
+    way by the least norm, rates of slides in units of length.
 
     Raises:
         ProgramError: see :func:`response`.
@@ -182,7 +188,8 @@ def response_to_displacements(
     twist, rates, maps = _rows(tree, frame, [*passive, *drives])
     held = _branches(twist, np.hstack([rates, identity(len(rates))]), len(passive), doubt)
     count, unit, tool = len(drives), tree.mechanism.length_unit, tree.frame(frame).translation
-    solution, strains = _solution(frame, held, count + len(rates), (), doubt)
+    solve = partial(_shared_solution, drives=count) if shared else _solution
+    solution, strains = solve(frame, held, count + len(rates), (), doubt)
     _require_zero(strains[:, :count], doubt)
     by_drives = _scaled(solution[:, :count], [drive.slides for drive in drives], tree)
     by_rows = np.vstack([solution, strains])[:, count:]
@@ -231,13 +238,52 @@ def _solution(
     if len(result.columns) < 6:
         raise ProgramError(f"'{frame}' can move with all sources at rest, at every sample pose")
     strains = [result.rest[:, 6:], *(widened(branch.relations, branch.sources, every) for branch in held)]
-    order = list(result.columns)
-    triangle = result.pivot_rows[:, order]
-    solution = solve_upper(triangle, result.pivot_rows[:, 6:])[np.argsort(order)]
+    return _back_substituted(result.pivot_rows, list(result.columns), doubt), np.vstack(strains)
+
+
+def _back_substituted(rows: Objects, order: list[int], doubt: Doubt) -> Objects:
+    """Solve six equations, upper triangular in the order of their first six columns, for all further columns."""
+    triangle = rows[:, order]
     inverse = solve_upper(triangle, identity(6))
     size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
     doubt.note_pivot(6.0 / size)
-    return solution, np.vstack(strains)
+    return solve_upper(triangle, rows[:, 6:])[np.argsort(order)]
+
+
+def _shared_solution(
+    frame: str, held: Sequence[Branch], count: int, readings: Sequence[Reading], doubt: Doubt, *, drives: int
+) -> tuple[Objects, Objects]:
+    """Return what :func:`_solution` does if the first sources, too many drives, give way by the least norm.
+
+    Each branch's equations are combined to some whose coefficients of drives are orthonormal; what is left of the
+    twist's equations is then the drives' least norm. Equations without drives are met exactly.
+    """
+    exact, weighted = [zeros(0, 6 + count)], [zeros(0, 6 + count)]
+    for branch in held:
+        rows = np.hstack([branch.twist, widened(branch.motion, branch.sources, count)])
+        relations = np.hstack([zeros(len(branch.relations), 6), widened(branch.relations, branch.sources, count)])
+        every = np.vstack([relations, rows])
+        every[:, : 6 + drives] = without_zeros(every[:, : 6 + drives], doubt)
+        first = eliminate(every, range(6, 6 + drives), doubt)
+        exact.append(first.rest)
+        triangle = triangular(first.pivot_rows[:, 6 : 6 + drives])
+        weighted.append(solve_upper(triangle[::-1, ::-1], first.pivot_rows[::-1])[::-1])
+    known = np.vstack(exact)
+    known[:, :6] = without_zeros(known[:, :6], doubt)
+    given = eliminate(known, range(6), doubt)
+    left = np.vstack(weighted)
+    for k, column in enumerate(given.columns):
+        row = given.pivot_rows[k]
+        inverse = 1.0 / row[column]
+        for other in left:
+            other -= row * (other[column] * inverse)
+            other[column] = 0.0
+    rest = eliminate(left, [k for k in range(6) if k not in given.columns], doubt)
+    order = [*given.columns, *rest.columns]
+    if len(order) < 6:
+        raise ProgramError(f"'{frame}' can move with all sources at rest, at every sample pose")
+    assert not readings
+    return _back_substituted(np.vstack([given.pivot_rows, rest.pivot_rows]), order, doubt), given.rest[:, 6:]
 
 
 def _require_zero(strains: Objects, doubt: Doubt) -> None:

@@ -72,16 +72,7 @@ class Drawing:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"{self.name}.urdf"
         path.write_text(f'<robot name="{self.name}">\n' + "\n".join(self._elements) + "\n</robot>\n", encoding="utf-8")
-        springs = [
-            dict(
-                zip(
-                    ("name", "type", "joint", "stiffness", "unit"),
-                    (d, "joint", d, *_STIFFNESS[self.kinds[d]]),
-                    strict=True,
-                )
-            )
-            for d in self.drives
-        ]
+        springs = [{"name": d, "type": "joint", "joint": d, **_STIFFNESS[self.kinds[d]]} for d in self.drives]
         closures = {
             "closed_loop": [list(pair) for pair in self.closures],
             "type": ["3d"] * len(self.closures),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,14 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
+from pm3dof_pin.errors.pose_error import pose_difference
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Poses, Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import legs, walker
 
 MACHINES = Path(__file__).parents[1] / "machines"
 STEP = 1e-5
@@ -183,11 +188,29 @@ def test_the_program_is_the_careful_engine(robot: str) -> None:
         assert not np.array_equal(found.errors, careful.errors)  # two ways round differently: it was not the same one
 
 
-def test_drives_that_depend_on_each_other_are_refused() -> None:
-    """Four motors hold a planar platform: with three held the fourth cannot move, so no error has a motion."""
-    robot = Robot.load(MACHINES / "four_rrr")
-    with pytest.raises(SingularConfigurationError, match="m0, m1, m2, m3 cannot move one by one"):
-        closable(GeometricErrors(robot), robot.at([robot.home.q]))
+@pytest.mark.parametrize("machine", ["four_rrr", "eight legs", "walker"])
+def test_too_many_drives_give_way_by_least_squares(machine: str, tmp_path: Path) -> None:
+    """Differences of poses at which the commands of a machine with errors are met best; and both engines."""
+    drawings = {"eight legs": legs, "walker": walker}
+    path = drawings[machine](8 if "legs" in machine else 4).write(tmp_path) if machine in drawings else None
+    robot = Robot.load(path or MACHINES / machine)
+    errors = closable(GeometricErrors(robot, all_parameters(robot)))
+    middle = robot.home_coordinates
+    widths = [0.02 * robot.characteristic_length if c.unit == "m" else 0.02 for c in robot.coordinates]
+    poses = robot.solve(middle + np.random.default_rng(3).uniform(-1.0, 1.0, (100, len(middle))) * widths)
+    found, careful = (sensitivities(errors, poses, engine=engine) for engine in ("program", "pinocchio"))
+    np.testing.assert_allclose(found.errors, careful.errors, rtol=1e-8, atol=1e-10 * np.abs(careful.errors).max())
+    np.testing.assert_allclose(found.commands, careful.commands, rtol=1e-8, atol=1e-10 * np.abs(careful.commands).max())
+    few = poses[:2]
+    for k in np.linspace(0, len(errors) - 1, 5).astype(int):
+        step = 1e-6 * (np.arange(len(errors)) == k)
+        ends = [errors.apply(sign * step).forward(few.commands, guess=few.q).transforms for sign in (1.0, -1.0)]
+        slope = pose_difference(ends[1], ends[0]) / 2e-6
+        np.testing.assert_allclose(found.errors[:2, :, k], slope, atol=1e-4 * np.abs(found.errors[:2]).max())
+    step = 1e-6 * (np.arange(len(robot.commands)) == 1)
+    ends = [robot.forward(few.commands + sign * step, guess=few.q).transforms for sign in (1.0, -1.0)]
+    slope = pose_difference(ends[1], ends[0]) / 2e-6
+    np.testing.assert_allclose(found.commands[:2, :, 1], slope, atol=1e-4 * np.abs(found.commands[:2]).max())
 
 
 def test_a_sarrus_linkage_closes_with_all_errors_that_are_kept(tmp_path: Path) -> None:

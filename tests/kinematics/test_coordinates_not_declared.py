@@ -52,6 +52,24 @@ def test_commands_of_redundant_drives_give_the_pose_back(four_rrr: Robot) -> Non
         np.testing.assert_allclose(four_rrr.forward(commands, engine=engine).coordinates, values, atol=1e-9)
 
 
+def test_commands_give_the_pose_back_where_three_of_the_drives_are_singular(four_rrr: Robot) -> None:
+    """Three of the four drives do not determine some of these poses, and some have nearly the commands of another."""
+    values = np.random.default_rng(4).uniform([-0.25, -0.25, -0.6], [0.25, 0.25, 0.6], (150, 3))
+    poses = four_rrr.solve(values, on_failure="nan")
+    found = four_rrr.forward(poses[poses.solved].commands)
+    np.testing.assert_allclose(found.coordinates, values[poses.solved], atol=1e-7)
+
+
+def test_commands_that_differ_slightly_are_met_by_least_squares(four_rrr: Robot) -> None:
+    """At the least squares, what is left is orthogonal to all motions: seven poses beside do not come nearer."""
+    exact = four_rrr.solve([0.03, -0.02, 0.1])
+    commands = exact.commands + 1e-3 * np.array([1.0, -1.0, 0.5, 1.0])
+    found = four_rrr.forward(commands)
+    beside = four_rrr.solve(found.coordinates + 1e-4 * np.vstack([np.eye(3), -np.eye(3)]), guess=found.q)
+    apart = np.linalg.norm(beside.commands - commands, axis=1)
+    assert np.linalg.norm(found.commands - commands) < apart.min()
+
+
 def test_commands_that_contradict_each_other_are_refused(four_rrr: Robot) -> None:
     commands = four_rrr.at(four_rrr.home.q).commands + np.array([0.0, 0.0, 0.0, 0.01])
     assert np.isnan(four_rrr.forward(commands, on_failure="nan").q).all()

@@ -1,0 +1,158 @@
+"""Poses at the commands of more drives than degrees of freedom.
+
+Commands of such drives agree only up to the machine's errors. The pose is then where they are met by least squares, in
+joint units (radians, characteristic lengths): there equally stiff drives would hold it, with internal forces of least
+norm. It is sought over the coordinates, in which no choice of drives can be singular.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+import numpy as np
+
+from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
+from pm3dof_pin.kinematics.pose_search import Solver
+from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales
+from pm3dof_pin.tolerances import SOLVED
+from pm3dof_pin.typing import Array, Indices, Matrix, Vector
+
+_logger = logging.getLogger(__name__)
+
+AGREEING = 1e-6
+"""Greatest difference of commands that agree [rad, characteristic lengths]."""
+
+_CONTRADICTION = 2e-3  # greatest one that errors of a machine explain, if commands are all that is known
+_OF_ERRORS = 0.05  # the same of a machine with errors, or near a guess
+_VALLEY = (0.1, -0.1, 0.2, -0.2, 0.4, -0.4)  # other starts, where commands change least
+_STEPS = 30
+_SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # factors tried in turn on a step that does not reduce the error
+_FARTHEST = 0.3  # of a coordinate in one step [rad, characteristic lengths]
+_SMALL = 1e-6  # of a coordinate, for differences [rad, characteristic lengths]
+_SETTLED = 1e-11  # last step [rad, characteristic lengths]
+
+
+class SharedCommands:
+    """Poses at the commands of a robot with more drives than degrees of freedom.
+
+    Args:
+        robot: the robot.
+        solver: finds poses at its coordinates.
+        coordinates: function of configurations, shape=(n, nq), that returns its coordinates there, shape=(n, k).
+    """
+
+    def __init__(self, robot: PlacedMechanism, solver: Solver, coordinates: Callable[[Matrix], Matrix]) -> None:
+        self._robot, self._solver, self._coordinates = robot, solver, coordinates
+        self._scales = coordinate_scales(robot, robot.command_coordinates)
+        self._units = coordinate_scales(robot, robot.coordinates)
+
+    def differences(self, q: Matrix, commands: Matrix) -> Matrix:
+        """Return the differences of the commands at q from those given, shape=(n, number of commands) [m, rad]."""
+        robot = self._robot
+        differences = robot.read(robot.command_coordinates, q) - commands
+        turns = coordinate_periods(robot, robot.command_coordinates)
+        angles = np.isfinite(turns)
+        differences[:, angles] -= turns[angles] * np.round(differences[:, angles] / turns[angles])
+        return differences
+
+    def agreeing(self, q: Matrix, commands: Matrix) -> Matrix:
+        """Return q, NaN where not all commands are those given."""
+        return np.where((self._off(q, commands) <= AGREEING)[:, None], q, np.nan)
+
+    def worst(self, differences: Vector) -> int:
+        """Return the number of the command that is the farthest off."""
+        return int(np.argmax(np.abs(differences / self._scales)))
+
+    def poses(self, q: Matrix, commands: Matrix, starts: Matrix | None, *, keep_branch: bool) -> Matrix:
+        """Return the poses at all commands, where q are those of independent drives; NaN where they contradict.
+
+        Commands that no pose meets are met by least squares if they differ from the pose's by little, with a warning
+        if the robot is as described and there are no starts.
+        """
+        robot, off = self._robot, self._off(q, commands)
+        rows = np.flatnonzero(~(off <= SOLVED) & np.isfinite(commands).all(axis=1))
+        if not rows.size or len(robot.coordinates) != len(robot.placing_drives):
+            return self.agreeing(q, commands)
+        answer, off = np.where((off <= SOLVED)[:, None], q, np.nan), np.where(off <= SOLVED, off, np.inf)
+        described = starts is None and robot.prototype is robot
+        enough, most = (AGREEING, _CONTRADICTION) if described else (_OF_ERRORS, _OF_ERRORS)
+        home = np.tile(robot.home.q, (len(q), 1)) if starts is None else starts
+        for near in (q, home) if described else (home, q):
+            own = rows[~(off[rows] <= enough) & np.isfinite(near[rows, 0])]
+            self._improve(answer, off, own, commands, near[own], keep_branch=keep_branch)
+        # near a singular pose of the drives, two poses have nearly the same commands
+        for length in _VALLEY if described else ():
+            own = rows[(off[rows] > enough) & np.isfinite(off[rows])]
+            if own.size:
+                weakest = np.linalg.svd(self._by_coordinates(answer[own]))[2][:, -1] * self._units
+                beside = self._coordinates(answer[own]) + length * weakest
+                near = self._solver.walk(beside, answer[own], keep_branch=keep_branch).q
+                found = np.isfinite(near[:, 0])
+                self._improve(answer, off, own[found], commands, near[found], keep_branch=keep_branch)
+        worst = np.max(off, initial=0.0, where=off <= most)
+        if worst > AGREEING and described:
+            _logger.warning(
+                "%s: the commands of %d drives contradict each other by up to %.2g rad or characteristic lengths; the "
+                "pose meets them by least squares",
+                *(robot.name, len(self._scales), worst),
+            )
+        return np.where((off <= most)[:, None], answer, np.nan)
+
+    def _off(self, q: Matrix, commands: Matrix) -> Vector:
+        return np.asarray(np.abs(self.differences(q, commands) / self._scales).max(axis=1))
+
+    def _improve(
+        self, answer: Matrix, off: Vector, rows: Indices, commands: Matrix, starts: Matrix, *, keep_branch: bool
+    ) -> None:
+        """Replace some rows of poses, in place, by those found from starts if their commands are less far off."""
+        if rows.size:
+            found = self._least_squares(commands[rows], starts, keep_branch=keep_branch)
+            left = self._off(found, commands[rows])
+            better = left < off[rows]
+            answer[rows[better]], off[rows[better]] = found[better], left[better]
+
+    def _by_coordinates(self, q: Matrix) -> Array:
+        """Return the derivatives of the commands by the coordinates, both scaled, by differences, shape=(n, u, k)."""
+        k, commands = len(self._units), self._robot.command_coordinates
+        beside = (self._coordinates(q)[:, None] + np.diag(_SMALL * self._units)).reshape(-1, k)
+        found = self._solver.walk(beside, np.repeat(q, k, axis=0), keep_branch=False).q
+        changes = self.differences(found, np.repeat(self._robot.read(commands, q), k, axis=0)) / self._scales
+        return np.swapaxes(changes.reshape(len(q), k, len(commands)), 1, 2) / _SMALL
+
+    def _least_squares(self, commands: Matrix, starts: Matrix, *, keep_branch: bool) -> Matrix:
+        """Return the poses that meet commands by least squares, by Gauss-Newton steps; NaN where they do not settle."""
+
+        def misfits(q: Matrix, rows: Indices) -> Matrix:
+            return self.differences(q, commands[rows]) / self._scales
+
+        values = np.array(self._coordinates(starts))
+        q = self._solver.walk(values, starts, keep_branch=False).q
+        rows, settled = np.flatnonzero(np.isfinite(q).all(axis=1)), np.zeros(len(q), dtype=bool)
+        left = misfits(q, np.arange(len(q)))
+        for _ in range(_STEPS):
+            if not rows.size:
+                break
+            by_coordinates = self._by_coordinates(q[rows])
+            known = np.isfinite(by_coordinates).all(axis=(1, 2))
+            rows, by_coordinates = rows[known], by_coordinates[known]
+            steps: Array = -np.einsum("nij,nj->ni", np.linalg.pinv(by_coordinates), left[rows])
+            steps /= np.maximum(1.0, np.abs(steps).max(axis=1, initial=0.0) / _FARTHEST)[:, None]
+            waiting = np.arange(len(rows))
+            for factor in _SHORTER:
+                own = rows[waiting]
+                tried = values[own] + factor * steps[waiting] * self._units
+                reached = self._solver.walk(tried, q[own], keep_branch=keep_branch).q
+                after = misfits(reached, own)
+                lower = np.linalg.norm(after, axis=1) < np.linalg.norm(left[own], axis=1)  # false where not reached
+                better = own[lower]
+                values[better], q[better], left[better] = tried[lower], reached[lower], after[lower]
+                waiting = waiting[~lower]
+                if not waiting.size:
+                    break
+            sizes = np.abs(steps).max(axis=1, initial=0.0)
+            stuck = np.isin(np.arange(len(rows)), waiting)
+            # at rounding, no step reduces the error any more
+            settled[rows[(sizes < _SETTLED) | (stuck & (sizes < _SMALL))]] = True
+            rows = rows[(sizes >= _SETTLED) & ~stuck]
+        return np.where(settled[:, None], q, np.nan)
