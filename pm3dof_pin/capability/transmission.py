@@ -72,7 +72,7 @@ def held_outside(robot: Robot, link: str) -> Robot:
         if tied & names and not tied <= names:
             raise InvalidValueError("subtree", link, f"a link that carries all joints of {coupling.name}")
     moving = {frame.name for frame in model.frames if frame.parentJoint in carried}
-    reduced = pin.buildReducedModel(model, held, np.array(robot.home.q))
+    reduced = _reduced(model, held, np.array(robot.home.q))
     commands = tuple(command for command in robot.commands if command.joint in names)
     return robot.replace(
         model=reduced,
@@ -86,6 +86,18 @@ def held_outside(robot: Robot, link: str) -> Robot:
         springs=(),
         tool_frame=robot.tool_frame if robot.tool_frame in moving else None,
     )
+
+
+def _reduced(model: pin.Model, held: list[int], q: Vector) -> pin.Model:
+    """Return a model without some joints, which are held at q; bodies may have the names of joints."""
+    model, mark = model.copy(), "/body"
+    for frame in model.frames:  # Pinocchio looks for the frame of a joint by its name alone
+        if frame.type == pin.FrameType.BODY and frame.name in set(model.names):
+            frame.name += mark
+    reduced = pin.buildReducedModel(model, held, q)
+    for frame in reduced.frames:
+        frame.name = frame.name.removesuffix(mark)
+    return reduced
 
 
 @dataclass(frozen=True, eq=False)
