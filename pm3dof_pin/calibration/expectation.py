@@ -28,6 +28,7 @@ from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _POSES = 2000  # number of poses of the workspace: their rms is known to a percent or two
+_WHOLE_POSES = 6  # drives with which commands correct whole poses
 _WHOLE = 0.995  # fraction of a correction that counts as all
 _POORLY_DESCRIBED = 2.0  # noise factor from which the parameters do not describe the machine
 _MIN_VISITS = 3  # of a pose, for a row in the table
@@ -231,6 +232,8 @@ def _advice(calibration: Fit, validation: HeldOut | None, budget: Mapping[str, f
         "unmodelled": f"is unmodelled: use {more}known temperatures and loads",
         "repeatability": "is repeatability, which no calibration improves",
     }[largest]
+    if largest == "floor" and len(calibration.compensation.errors.robot.commands) >= _WHOLE_POSES:
+        advice = "is of poses near singular ones, where commands do not reach all directions: keep away from them"
     text = f"the largest part, {1e6 * budget[largest]:.0f} µm, {advice}"
     return text if validation is not None else f"{text}; and validate with a second file of measurements (--validation)"
 

@@ -18,7 +18,13 @@ import yaml
 
 from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.exceptions import CalibrationRefusedError, ConvergenceError, OutputError
+from pm3dof_pin.exceptions import (
+    CalibrationRefusedError,
+    ConvergenceError,
+    OutputError,
+    SingularConfigurationError,
+    UnreachablePoseError,
+)
 from pm3dof_pin.files import read_text, replace_directory, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
@@ -28,6 +34,7 @@ from pm3dof_pin.printers.touches import Touches
 from pm3dof_pin.typing import Array
 
 _FOLDS = 10
+_FAILURES = (ConvergenceError, SingularConfigurationError, UnreachablePoseError)
 _ROBUST = 3  # touches a parameter from which outliers are given less weight
 _PROBABILITIES = np.array([0.025, 0.975])
 _SUMMARY = "calibration.yaml"
@@ -142,6 +149,9 @@ def calibrate_printer(path: Path | str, *, on_refusal: Literal["raise", "keep"] 
     sets = {count: _errors(before, count) for count in before.counts if count <= file.most_parameters}
     choices = [Choice(count, _held_out(touches, errors)) for count, errors in sets.items()]
     best = min(choices, key=lambda choice: choice.mean_square)
+    if not np.isfinite(best.mean_square):
+        cause = "no printer near these numbers fits the touches: numbers, sizes of steps or touches are wrong"
+        raise CalibrationRefusedError([cause])
     limit = best.mean_square + float(np.std(best.held_out**2) / np.sqrt(len(touches)))
     chosen = next(choice for choice in choices if choice.mean_square <= limit)
     found = _fit(touches.measurements(), sets[chosen.count])
@@ -190,11 +200,10 @@ def _held_out(touches: Touches, errors: GeometricErrors) -> Array:
         shown, hidden = np.flatnonzero(folds != fold), np.flatnonzero(folds == fold)
         try:
             found = _fit(touches.measurements(shown), errors)
-        except ConvergenceError:
+            reached = found.errors.apply(found.values).forward(touches.travels[hidden]).positions
+            errors_at[hidden] = touches.heights[hidden] - reached[:, 2]
+        except _FAILURES:
             errors_at[hidden] = np.inf
-            continue
-        reached = found.errors.apply(found.values).forward(touches.travels[hidden]).positions
-        errors_at[hidden] = touches.heights[hidden] - reached[:, 2]
     return errors_at
 
 

@@ -288,6 +288,7 @@ DAMAGES = (
     ("height0 = 0.0", "nothing = 0.0", "no touches"),
     ("height4 = 0.0", "nothing = 0.0", "4 touches for 6 parameters"),
     ("[printer]", "[machine]", "no delta printer"),
+    ("rotation_distance: 40", "rotation_distance: 400", "no printer near these numbers"),
 )
 
 
