@@ -44,6 +44,7 @@ COMMANDS = {
     "recheck": ("recheck", "Whether a calibration still holds, from a few rows"),
     "compensate": ("compensate", "Commands that take a calibrated machine to a pose"),
     "export": ("export", "Files for MuJoCo, Drake, SDFormat, ROS and others"),
+    "export function": ("export_function", "A robot's quantities as functions: NumPy, JAX, PyTorch, CasADi, C"),
     "export serial": ("export_serial", "A robot without its loops, and the numbers to type into it"),
     "convert": ("convert", "A robot in another dialect, and what it does not say"),
     "view": ("view", "The robot in a browser: move it, watch its stiffness"),

@@ -53,16 +53,26 @@ def statements(
         declare: returns the declaration of a value, given its operation, name and expression.
         expressions: expression of each operation, by operands.
     """
-    names, lines = list(leaves), []
-    for number, (operation, operands) in enumerate(program.lines, len(names)):
-        names.append(f"v{number}")
-        lines.append(declare(operation, names[-1], expressions[operation].format(*(names[k] for k in operands))))
-    results = [names[number] for number in program.results]
+    lines, results = value_lines(program, leaves, declare, expressions)
     for k, number in enumerate(program.results):
         if number < len(program.inputs):  # everything is read before anything is written
             lines.append(declare("", f"r{k}", results[k]))
             results[k] = f"r{k}"
     return [*lines, *(f"y[{k}] = {name};" for k, name in enumerate(results))]
+
+
+def value_lines(
+    program: Program,
+    leaves: Sequence[str],
+    declare: Callable[[str, str, str], str],
+    expressions: Mapping[str, str],
+) -> tuple[list[str], list[str]]:
+    """Return one declaration for each operation, and the names of the outputs; arguments as for `statements`."""
+    names, lines = list(leaves), []
+    for number, (operation, operands) in enumerate(program.lines, len(names)):
+        names.append(f"v{number}")
+        lines.append(declare(operation, names[-1], expressions[operation].format(*(names[k] for k in operands))))
+    return lines, [names[number] for number in program.results]
 
 
 def literal(value: float, nan: str, infinity: str) -> str:

@@ -1,0 +1,38 @@
+"""`pm3dof export function`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from pm3dof_pin.cli.options import RobotOptions
+from pm3dof_pin.cli.output import message
+
+
+def export_function(
+    which: RobotOptions,
+    of: Annotated[
+        str,
+        typer.Option(
+            metavar="A,B",
+            help="Quantities: commands, transform, jacobian, compliance at coordinates; coordinates at commands.",
+        ),
+    ] = "commands,coordinates",
+    # as in pm3dof_pin.export.functions, which is not imported just for the help
+    to: Annotated[
+        Literal["numpy", "jax", "torch", "casadi", "c"], typer.Option(help="Library that the functions are for.")
+    ] = "numpy",
+    out: Annotated[Path, typer.Option("--out", help="Output folder, created if missing.")] = Path("results/function"),
+) -> None:
+    """Write a robot's quantities as functions for other code: one Python file, batched and differentiable, or C.
+
+    The functions take radians and metres. Each file has a _selftest() against values computed by Pinocchio.
+    """
+    from pm3dof_pin.export.functions import export_functions
+
+    which.announce()
+    names: Any = [name.strip() for name in of.split(",") if name.strip()]
+    for file in export_functions(which.load(), names, to, out):
+        message(f"wrote {file}")

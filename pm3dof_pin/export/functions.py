@@ -1,0 +1,456 @@
+"""A robot's quantities as functions for other people's code: one Python file that is batched and differentiable, or C.
+
+Loops are closed by the recorded Newton steps, along a straight line from home in a fixed number of legs, so that every
+pose of a batch does the same. Derivatives are those of two more steps at the solution: a Newton step of a root x(y) has
+the derivative of x, whatever it starts from, and two of them also the second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from pm3dof_pin.arrays import require_choice
+from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.quantities import COMPLIANCE
+from pm3dof_pin.elastic.traced import elastic_program
+from pm3dof_pin.exceptions import InvalidValueError, ProgramError
+from pm3dof_pin.export.c_kinematics import c_files
+from pm3dof_pin.export.controller import Controller
+from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.jacobians import jacobian
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.shared_commands import AGREEING
+from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales
+from pm3dof_pin.programs.array_code import IMPORTS, Library, array_code
+from pm3dof_pin.programs.c import c99
+from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.walk import WALK, Walk
+from pm3dof_pin.typing import Array, Matrix, Vector
+
+Quantity: TypeAlias = Literal["commands", "coordinates", "transform", "jacobian", "compliance"]
+"""Commands, transform of the tool, Jacobian of the commands and compliance at coordinates; coordinates at commands."""
+
+Target: TypeAlias = Literal[Library, "c"]
+"""What functions are written for."""
+
+_LEGS = (1, 2, 4, 8, 16, 32, 64)
+_STEPS = 3  # in a leg
+_LAST_STEPS = 6  # at the end
+_POSES, _GOLDEN, _SEED = 200, 6, 3
+_CLOSED = 1e-10  # closure error after all legs, from which two steps reach rounding [m, rad]
+_ACCEPTED = 1e-9  # of answers [m, rad]
+
+
+def export_functions(robot: Robot, of: Sequence[Quantity], to: Target, folder: Path | str) -> list[Path]:
+    """Write quantities of a robot as functions.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.export.functions import export_functions
+        >>> [file.name for file in export_functions(pm.load("pm3dof"), ["commands"], "numpy", "functions")]
+        ['pm3dof_numpy.py']
+
+    Args:
+        robot: the robot.
+        of: the quantities, see :data:`Quantity`.
+        to: the library, or "c": the kinematics as :func:`~pm3dof_pin.export.controllers.export_controller` writes
+            them, and a function of q for the compliance.
+        folder: output folder, created if missing.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InvalidValueError: an unknown quantity or library, or a robot without drives, springs or tool for one.
+        ProgramError: there is no program for the robot, or straight lines from home do not reach its poses.
+        ConvergenceError: the loops do not close at home.
+        OutputError: a file cannot be written.
+    """
+    require_choice("to", to, Target)
+    for name in of:
+        require_choice("of", name, Quantity)
+    if not of:
+        raise InvalidValueError("of", "none", "at least one quantity")
+    if robot.tool_frame is None and {"transform", "compliance"} & {*of}:
+        raise InvalidValueError(f"{robot.name} has no tool frame", expected="one for transform and compliance")
+    if not robot.springs and "compliance" in of:
+        raise InvalidValueError(f"{robot.name} has no springs", expected="some for its compliance")
+    controller = Controller(robot)
+    files = c_files(controller) if to == "c" else {f"{controller.name}_{to}.py": _module(controller, of, to)}
+    if to == "c" and "compliance" in of:
+        program, parameters = _compliance(robot)
+        summary = f"Compliance of the tool of {robot.name} at a configuration q; sound: 1 if it holds, else 0."
+        files[f"{controller.name}_compliance.c"] = c99(program, summary=summary, parameters=parameters)
+    return [write_text_atomically(Path(folder) / name, text) for name, text in files.items()]
+
+
+def _compliance(robot: Robot) -> tuple[Program, Vector]:
+    found = elastic_program(ElasticModel(robot), robot.frame_name(), "compliance", COMPLIANCE.traced)
+    return found.compiled.program, found.parameters
+
+
+def _module(controller: Controller, of: Sequence[Quantity], to: Library) -> str:
+    """Return the Python file."""
+    robot = controller.robot
+    numbers = controller.models["nominal"].numbers
+    count = len(controller.parameters)
+    programs = {
+        "inverse_step": controller.inverse.step,
+        "forward_step": controller.forward.step,
+        **{part: controller.programs[part] for part in ("branch", "readings", "jacobian")},
+    }
+    parameters = list(zip(controller.parameters, numbers[:count].tolist(), strict=True))
+    if "compliance" in of:
+        program, values = _compliance(robot)
+        known = {*controller.parameters}
+        parameters += [pair for pair in zip(program.parameters, values.tolist(), strict=True) if pair[0] not in known]
+        programs["compliance"] = program
+    names = tuple(pair[0] for pair in parameters)
+    poses = reachable_poses(robot, _POSES, np.random.default_rng(_SEED))
+    ways = {
+        "inverse": (controller.inverse, robot.coordinates, poses.coordinates),
+        "forward": (controller.forward, controller.placing, poses.commands[:, robot.placing_drives]),
+    }
+    found = {way: _legs(controller, walk, given, values) for way, (walk, given, values) in ways.items()}
+    legs = {way: count for way, (count, _) in found.items()}
+    reached = min(count for _, count in found.values())
+    nq = controller.inverse.nq
+    home = {
+        way: controller.targets(given, _at_home(robot, given)[None])[0].tolist() for way, (_, given, _) in ways.items()
+    }
+    slices = controller.programs["readings"].slices
+    settings = {
+        "HOME": numbers[count : count + nq].tolist(),
+        "MODES": dict(zip(ways, (int(mode) for mode in numbers[count + nq : count + nq + 2]), strict=True)),
+        "BRANCH": float(numbers[-1]),
+        "HOME_TARGETS": home,
+        "LEGS": legs,
+        "ORDER": {way: controller.order(given) for way, (_, given, _) in ways.items()},
+        "OFFSETS": {way: [c.offset for c in given] for way, (_, given, _) in ways.items()},
+        "SCALES": {way: [c.scale for c in given] for way, (_, given, _) in ways.items()},
+        "PLACING": robot.placing_drives,
+        "OTHERS": _others(robot),
+        "READ": {group: (place.start, place.stop) for group, place in slices.items()},
+    }
+    shapes: dict[str, tuple[int, ...]] = {
+        "commands": (len(robot.commands),),
+        "coordinates": (len(robot.coordinates),),
+        "transform": (4, 4),
+        "jacobian": (len(robot.commands), len(robot.coordinates)),
+        "compliance": (6, 6),
+    }
+    golden = _golden(robot, of, poses)
+    units = {
+        "coordinates": ", ".join(f"{c.name} [{c.unit}]" for c in robot.coordinates),
+        "commands": ", ".join(f"{c.name} [{c.unit}]" for c in robot.command_coordinates),
+    }
+    lines = [
+        f'"""{robot.name!r} as functions for {to}, written by pm3dof export function: batched, differentiable.',
+        "",
+        f"coordinates: {units['coordinates']}",
+        f"commands: {units['commands']}",
+        "",
+        "The last axis of arguments is that of the numbers. Poses that are out of reach or on another branch are NaN.",
+        "Derivatives are right to second order. `parameters`, named by PARAMETER_NAMES, may be differentiated too.",
+        f"Loops are closed along a line from home in legs ({legs}), by which {reached} of {_POSES} random poses within",
+        "limits were reached.",
+        '"""',
+        "",
+        IMPORTS[to],
+        f"PARAMETER_NAMES = {names!r}",
+        f"PARAMETERS = {[value for _, value in parameters]!r}",
+        *(f"_{key} = {value!r}" for key, value in settings.items()),
+        f"_SHAPES = {shapes!r}",
+        f"_CLOSED = {_ACCEPTED!r}",
+        f"_LONGEST_STEP = {WALK.jump!r}",
+        f"_GOLDEN = {golden!r}",
+        "",
+        "",
+        *("\n" + array_code(each.with_parameters(names), f"_{part}") for part, each in programs.items()),
+        _CASADI if to == "casadi" else _BATCHED.replace("@PRELUDE@", _PRELUDES[to]),
+        *(_definition(quantity, to) for quantity in of),
+        _SELFTEST_CASADI if to == "casadi" else _SELFTEST,
+    ]
+    return "\n".join(lines)
+
+
+def _others(robot: Robot) -> list[tuple[int, float, float]]:
+    """Return redundant drives: index, greatest difference of its command, period (a huge number for none)."""
+    commands = robot.command_coordinates
+    scales, turns = coordinate_scales(robot, commands), coordinate_periods(robot, commands)
+    others = sorted(set(range(len(commands))) - set(robot.placing_drives))
+    return [(k, float(AGREEING * scales[k]), min(float(turns[k]), 1e300)) for k in others]
+
+
+def _at_home(robot: Robot, given: Sequence[Coordinate]) -> Vector:
+    home = robot.at([robot.home.q])
+    values = home.coordinates[0] if tuple(given) == robot.coordinates else home.commands[0, robot.placing_drives]
+    return np.asarray(values)
+
+
+def _legs(controller: Controller, walk: Walk, given: tuple[Coordinate, ...], values: Matrix) -> tuple[int, int]:
+    """Return the number of legs by which the printed algorithm reaches the most poses, and how many these are."""
+    model = controller.models["nominal"]
+    count = len(controller.parameters)
+    numbers, q = model.numbers[:count], model.numbers[count : count + walk.nq]
+    targets = controller.targets(given, values)
+    start = controller.targets(given, _at_home(controller.robot, given)[None])
+    best, reached = 0, 0
+    for legs in _LEGS:
+        found, longest = np.tile(q, (len(targets), 1)), np.zeros(len(targets))
+        shares = [min(k // _STEPS + 1, legs) / legs for k in range(_STEPS * legs + _LAST_STEPS)]
+        for share in shares:
+            outputs = _stepped(walk, found, start + share * (targets - start), numbers)
+            found, longest = outputs[:, : walk.nq], np.maximum(longest, outputs[:, -2])
+        closed = (_stepped(walk, found, targets, numbers)[:, -1] < _CLOSED) & (longest < WALK.jump)
+        same = controller.programs["branch"].evaluate(found, numbers)[:, 0] == model.numbers[-1]
+        if (n := int((closed & same).sum())) > reached:
+            best, reached = legs, n
+        if reached == len(targets) or legs >= 4 * best > 0:
+            return best, reached
+    raise ProgramError(f"{controller.robot.name}: straight lines from home reach none of its poses")
+
+
+def _stepped(walk: Walk, q: Matrix, targets: Matrix, numbers: Vector) -> Array:
+    return walk.step.evaluate(np.column_stack([q, np.tile([1.0, 0.0], (len(q), 1)), targets]), numbers)
+
+
+def _golden(robot: Robot, of: Sequence[Quantity], poses: Poses) -> dict[str, list[object]]:
+    """Return arguments and values of the quantities at some poses, by Pinocchio."""
+    chosen = robot.solve(poses.coordinates[:_GOLDEN], guess=poses.q[:_GOLDEN], engine="pinocchio")
+    golden: dict[str, list[object]] = {}
+    for name in of:
+        match name:
+            case "commands":
+                values = chosen.commands
+            case "coordinates":
+                values = chosen.coordinates
+            case "transform":
+                values = chosen.transforms
+            case "jacobian":
+                values = jacobian(robot, chosen, of="commands", by="coordinates", engine="pinocchio").values
+            case "compliance":
+                values = compliance(robot, chosen, engine="pinocchio")
+        arguments = chosen.commands if name == "coordinates" else chosen.coordinates
+        golden[name] = [arguments.tolist(), values.tolist()]
+    return golden
+
+
+_PRELUDES: dict[Library, str] = {
+    "numpy": """
+def _stack(values, like, shape):
+    like = np.asarray(like)
+    flat = np.stack([np.broadcast_to(value, like.shape[:-1]) for value in values], axis=-1)
+    return flat.reshape(like.shape[:-1] + shape)
+
+
+def _array(values):
+    return np.asarray(values, dtype=np.float64)
+
+
+def _still(values):
+    return values
+
+
+def _repeat(count, body, q):
+    for k in range(count):
+        q = body(k, q)
+    return q
+""",
+    "jax": """
+def _stack(values, like, shape):
+    flat = jnp.stack([jnp.broadcast_to(value, like.shape[:-1]) for value in values], axis=-1)
+    return flat.reshape(like.shape[:-1] + shape)
+
+
+def _array(values):
+    return jnp.asarray(values, dtype=jnp.float64)
+
+
+def _still(values):
+    return [jax.lax.stop_gradient(value) for value in values]
+
+
+def _repeat(count, body, q):
+    return list(jax.lax.fori_loop(0, count, lambda k, q: tuple(body(k, q)), tuple(q)))
+""",
+    "torch": """
+def _stack(values, like, shape):
+    rows = [torch.as_tensor(value, dtype=torch.float64).to(like.device).expand(like.shape[:-1]) for value in values]
+    return torch.stack(rows, dim=-1).reshape(like.shape[:-1] + shape)
+
+
+def _array(values):
+    return torch.as_tensor(values, dtype=torch.float64)
+
+
+def _still(values):
+    return [value.detach() if torch.is_tensor(value) else value for value in values]
+
+
+def _repeat(count, body, q):
+    with torch.no_grad():
+        for k in range(count):
+            q = body(k, q)
+    return q
+""",
+}
+
+_BATCHED = '''
+@PRELUDE@
+
+def configuration(values, parameters=None, way="inverse"):
+    """Return q at coordinates (or, with way="forward", at commands), shape=(..., nq); NaN where there is none."""
+    x = _array(values)
+    p = PARAMETERS if parameters is None else parameters
+    step = _inverse_step if way == "inverse" else _forward_step
+    chosen = [x[..., k] for k in (_PLACING if way == "forward" else range(x.shape[-1]))]
+    targets = [(chosen[k] - _OFFSETS[way][k]) / _SCALES[way][k] for k in _ORDER[way]]
+    home, still, numbers, legs = _HOME_TARGETS[way], _still(targets), _still(p), _LEGS[way]
+
+    def moved(q, there):
+        *q, _, jump, _ = step([*q[:-1], 1.0, 0.0, *there], numbers)
+        return q, jump
+
+    def body(k, state):
+        share = (k // STEPS + 1) / legs
+        q, jump = moved(state, [h + share * (t - h) for h, t in zip(home, still)])
+        return [*q, where(jump < state[-1], state[-1], jump)]
+
+    def end(k, state):
+        q, jump = moved(state, still)
+        return [*q, where(jump < state[-1], state[-1], jump)]
+
+    state = _repeat(STEPS * legs, body, [h + 0.0 * still[0] for h in [*_HOME, 0.0]])
+    *q, jump = _still(_repeat(LAST, end, state))
+    for _ in range(2):
+        *q, margin, _, residual = step([*q, 1.0, 0.0, *targets], p)
+    found = _and(residual < _CLOSED, _branch(_still(q), numbers)[0] == _BRANCH)
+    found = _and(found, jump < _LONGEST_STEP)
+    found = _and(found, -floor(0.5 * _still([margin])[0]) == _MODES[way])
+    for k, most, turn in _OTHERS if way == "forward" else ():  # redundant drives must agree
+        off = _readings(_still(q), numbers)[k] - _still([x[..., k]])[0]
+        found = _and(found, fabs(off - turn * floor(off / turn + 0.5)) <= most)
+    return _stack([where(found, value, float("nan")) for value in q], x, (len(_HOME),))
+
+
+def _at(values, p, way="inverse"):
+    q = configuration(values, p, way)
+    return [q[..., k] for k in range(len(_HOME))], PARAMETERS if p is None else p
+'''.replace("STEPS", str(_STEPS)).replace("LAST", str(_LAST_STEPS))
+
+_CASADI = '''
+def _closed(way):
+    """Return a function of coordinates (or, with way "forward", of commands): q, NaN where there is none."""
+    nq, m = len(_HOME), len(_ORDER[way])
+    step = _inverse_step if way == "inverse" else _forward_step
+    q, t = casadi.SX.sym("q", nq), casadi.SX.sym("t", m)
+    out = step([*casadi.vertsplit(q), 1.0, 0.0, *casadi.vertsplit(t)], PARAMETERS)
+    newton = casadi.Function("newton", [q, t], [casadi.vertcat(*out[:nq]), out[nq], out[nq + 2], out[nq + 1]])
+    branch = casadi.Function("branch", [q], [casadi.SX(_branch(casadi.vertsplit(q), PARAMETERS)[0])])
+    targets, home = casadi.MX.sym("targets", m), casadi.DM(_HOME_TARGETS[way])
+    here = casadi.MX(casadi.DM(_HOME))
+    longest = casadi.MX(0.0)
+    for k in range(STEPS * _LEGS[way] + LAST):
+        share = min((k // STEPS + 1) / _LEGS[way], 1.0)
+        here, _, _, jump = newton(here, home + share * (targets - home))
+        longest = casadi.fmax(longest, jump)
+    settings = {"is_diff_in": [False], "is_diff_out": [False, False]}
+    walk = casadi.Function("walk", [targets], [here, longest], settings)
+    values = casadi.MX.sym("values", _SHAPES["coordinates" if way == "inverse" else "commands"][0])
+    chosen = casadi.vertcat(*(values[k] for k in (_PLACING if way == "forward" else range(m))))
+    scaled = (chosen - casadi.DM(_OFFSETS[way])) / casadi.DM(_SCALES[way])
+    targets = casadi.vertcat(*(scaled[k] for k in _ORDER[way]))
+    here, longest = walk(targets)
+    for _ in range(2):
+        here, margin, residual, _ = newton(here, targets)
+    found = _and(_and(residual < _CLOSED, branch(here) == _BRANCH), -floor(0.5 * margin) == _MODES[way])
+    found = _and(found, longest < _LONGEST_STEP)
+    if _OTHERS and way == "forward":  # redundant drives must agree
+        commands = _readings(casadi.vertsplit(q), PARAMETERS)[slice(*_READ["commands"])]
+        read = casadi.Function("read", [q], [casadi.vertcat(*commands)])
+        for k, most, turn in _OTHERS:
+            off = read(here)[k] - values[k]
+            found = _and(found, fabs(off - turn * floor(off / turn + 0.5)) <= most)
+    return casadi.Function("configuration", [values], [where(found, here, casadi.DM.nan(nq))])
+
+
+def _function(name, program, way="inverse"):
+    """Return a casadi.Function of coordinates (or, with way "forward", of commands)."""
+    shape, closed = _SHAPES[name], _closed(way)
+    q = casadi.SX.sym("q", len(_HOME))
+    flat = casadi.vertcat(*map(casadi.SX, program(casadi.vertsplit(q))))
+    if len(shape) == 2:
+        flat = casadi.reshape(flat, shape[1], shape[0]).T
+    values = casadi.MX.sym("values", closed.size1_in(0))
+    return casadi.Function(name, [values], [casadi.Function("at_q", [q], [flat])(closed(values))])
+'''.replace("STEPS", str(_STEPS)).replace("LAST", str(_LAST_STEPS))
+
+_SOURCES = {
+    "commands": "_readings(q, p)[slice(*_READ['commands'])]",
+    "coordinates": "_readings(q, p)[slice(*_READ['coordinates'])]",
+    "transform": "_readings(q, p)[slice(*_READ['transform'])]",
+    "jacobian": "[where(found[-1] > 0.5, value, float('nan')) for value in found[:-1]]",
+    "compliance": "[where(found[-1] > 0.5, value, float('nan')) for value in found[:-1]]",
+}
+_TEXTS = {
+    "commands": "Return the commands at coordinates, shape=(..., commands) [m, rad].",
+    "coordinates": "Return the coordinates at commands, shape=(..., coordinates) [m, rad].",
+    "transform": "Return the placement of the tool at coordinates, shape=(..., 4, 4) [m].",
+    "jacobian": "Return the rates of the commands by those of the coordinates, at coordinates, "
+    "shape=(..., commands, coordinates).",
+    "compliance": "Return the compliance of the tool at coordinates, twist by wrench, shape=(..., 6, 6) [SI].",
+}
+
+
+def _definition(quantity: Quantity, to: Library) -> str:
+    way = "forward" if quantity == "coordinates" else "inverse"
+    argument = "commands" if way == "forward" else "coordinates"
+    argument = f"at_{argument}" if argument in _TEXTS else argument
+    first = "" if "found" not in _SOURCES[quantity] else f"    found = _{quantity}(q, p)\n"
+    if to == "casadi":
+        return (
+            f"\n\ndef _{quantity}_at(q, p=PARAMETERS):\n{first}    return {_SOURCES[quantity]}\n\n\n"
+            f'{quantity} = _function("{quantity}", _{quantity}_at, "{way}")  # {_TEXTS[quantity]}\n'
+        )
+    return (
+        f'\n\ndef {quantity}({argument}, parameters=None):\n    """{_TEXTS[quantity]}"""\n'
+        f'    q, p = _at({argument}, parameters, "{way}")\n{first}'
+        f'    return _stack({_SOURCES[quantity]}, _array({argument}), _SHAPES["{quantity}"])\n'
+    )
+
+
+_SELFTEST = '''
+
+def _selftest():
+    """Return the greatest relative differences from values computed by Pinocchio, by function."""
+    worst = {}
+    for name, (arguments, values) in _GOLDEN.items():
+        found, wanted = np.asarray(globals()[name](_array(arguments))), np.array(values)
+        worst[name] = float(np.abs(found - wanted).max() / np.abs(wanted).max())
+        if not worst[name] < 1e-9:
+            raise ValueError(f"{name} is off by {worst[name]:.3g} of its size")
+    return worst
+'''
+
+_SELFTEST_CASADI = '''
+
+def _selftest():
+    """Return the greatest relative differences from values computed by Pinocchio, by function."""
+    worst = {}
+    for name, (arguments, values) in _GOLDEN.items():
+        shape = _SHAPES[name] if len(_SHAPES[name]) == 2 else (*_SHAPES[name], 1)
+        found = [np.array(globals()[name](row)).reshape(shape) for row in arguments]
+        wanted = np.array(values).reshape(len(arguments), *shape)
+        worst[name] = float(np.abs(np.array(found) - wanted).max() / np.abs(wanted).max())
+        if not worst[name] < 1e-9:
+            raise ValueError(f"{name} is off by {worst[name]:.3g} of its size")
+    return worst
+'''
