@@ -8,7 +8,8 @@ On every page, in order:
 
 Whitespace is normalised, and `...` matches anything. A number may differ from the one shown by one in its last digit,
 as results do between machines, or by the tolerance of the block: ```` ```output within 5 % ````, for results that
-depend on many roundings. Numbers below 1e-9 are all equal to zero. ```` ```bash ```` blocks are not run.
+depend on many roundings. A ```` ```{code-block} ```` with a caption is a file of that name. Numbers below 1e-9 are all
+equal to zero. ```` ```bash ```` blocks are not run.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = [page for page in sorted((ROOT / "docs").rglob("*.md")) if not {"_build", "generated"} & {*page.parts}]
 PAGES = [ROOT / "README.md", *DOCS]
 BLOCK = re.compile(r"^```(console|python|output)(?: within (\S+) %)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FILE = re.compile(r"^```\{code-block\} \w+\n:caption: (\S+)\n\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"(?<![\w.])[-+\u2212]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 COMPUTED_PICTURES = {
     "atlas_chapter_global.png",
@@ -68,6 +70,13 @@ def _blocks(page: Path) -> list[Block]:
     return [
         Block(m[1], float(m[2] or 0.0) / 100.0, m[3], text.count("\n", 0, m.start()) + 1) for m in BLOCK.finditer(text)
     ]
+
+
+def _write_files(page: Path, folder: Path) -> None:
+    """Write the files that a page shows, so that its examples find them."""
+    for name, text in FILE.findall(page.read_text(encoding="utf-8")):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 def _alike(expected: str, got: str, allowed: float) -> bool:
@@ -133,6 +142,7 @@ def test_python_examples(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     for tool in re.findall(r"^(?:import|from) (mujoco|pybullet|pydrake)", page.read_text(), flags=re.MULTILINE):
         pytest.importorskip(tool)  # not every Python has a wheel of each
     monkeypatch.chdir(tmp_path)
+    _write_files(page, tmp_path)
     namespace: dict[str, Any] = {"__name__": "__example__"}
     printed = ""
     for block in _blocks(page):
@@ -154,6 +164,7 @@ def test_python_examples(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_console_examples(page: Path, run: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
         monkeypatch.setenv(name, value)
+    _write_files(page, tmp_path)
     for block in _blocks(page):
         if block.kind != "console":
             continue
