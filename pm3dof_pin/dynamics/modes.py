@@ -55,7 +55,7 @@ def natural_modes(
         >>> import pm3dof_pin as pm
         >>> model = pm.ElasticModel.load("pm3dof")
         >>> pm.natural_modes(model, model.rigid.home, count=2).frequencies.round(2)
-        array([162.59, 270.66])
+        array([162.59, 261.57])
 
     Args:
         model: the mechanism with its springs.

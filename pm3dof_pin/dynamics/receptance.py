@@ -187,7 +187,7 @@ def vibrating_system(
         >>> tool = system.rows(["tool:x"])
         >>> G = system.receptance([0.0, 50.0], tool, tool)[:, 0, 0]
         >>> print(f"{1 / G[0].real:.4g} N/m at rest, {1 / np.abs(G[1]):.4g} N/m at 50 Hz")
-        1.831e+06 N/m at rest, 1.772e+06 N/m at 50 Hz
+        1.831e+06 N/m at rest, 1.768e+06 N/m at 50 Hz
 
     Args:
         model: the mechanism with its springs.
