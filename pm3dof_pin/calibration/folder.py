@@ -275,19 +275,29 @@ def _session(data: Mapping[str, Any]) -> SessionEffects:
     )
 
 
-def _verify(directory: Path) -> None:
-    """Compare what determines the commands, compensation and nominal robot, with the checksums."""
+def _verify(directory: Path, *, everything: bool = False) -> None:
+    """Compare what determines the commands, compensation and nominal robot, or everything, with the checksums."""
     lines = read_text(directory / _SUMS).splitlines()
     sums = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
     found = {file.relative_to(directory).as_posix() for file in _files(directory)}
     for name in sorted(found | set(sums)):
-        if name == _COMPENSATION or name.startswith("nominal/"):
+        if name not in (_SUMS, HISTORY) and (everything or name == _COMPENSATION or name.startswith("nominal/")):
             if name not in found or name not in sums:
                 problem = "is missing" if name in sums else "was added since the calibration was written"
                 raise DescriptionError(directory / name, "file", f"{problem}: calibrate again from {MEASUREMENTS}")
             if _sum(directory / name) != sums[name]:
                 problem = "was changed since the calibration was written"
                 raise DescriptionError(directory / name, "SHA-256", f"{problem}: calibrate again from {MEASUREMENTS}")
+
+
+def checksum_of(directory: Path | str) -> str:
+    """Return the SHA-256 of a calibration's list of checksums, which stands for the whole folder.
+
+    Raises:
+        DescriptionError: the folder has no such list, or any of its files but the history was changed.
+    """
+    _verify(Path(directory), everything=True)
+    return _sum(Path(directory) / _SUMS)
 
 
 def _files(directory: Path) -> list[Path]:

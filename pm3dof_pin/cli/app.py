@@ -42,6 +42,8 @@ COMMANDS = {
     "measurements": ("measurements", "Check a file of measurements, or join two"),
     "calibrate": ("calibrate", "Calibrate a machine from measurements"),
     "recheck": ("recheck", "Whether a calibration still holds, from a few rows"),
+    "acceptance": ("acceptance", "Tests of ISO 230: planned, and evaluated"),
+    "certificate": ("certificate", "A report of a calibration to sign"),
     "compensate": ("compensate", "Commands that take a calibrated machine to a pose"),
     "export": ("export", "Files for MuJoCo, Drake, SDFormat, ROS and others"),
     "export function": ("export_function", "A robot's quantities as functions: NumPy, JAX, PyTorch, CasADi, C"),

@@ -1,0 +1,316 @@
+"""Tests of a calibrated machine after ISO 230: planned as commands, evaluated from what was measured, with uncertainty.
+
+positioning (ISO 230-2): targets on a line, approached from both sides in n runs. With the means and standard deviations
+of the deviations at target i, up and down, and B_i their difference,
+
+    B = max |B_i|,   R = max of R_i = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down),
+    E = range of all means,   M = range of (up + down) / 2,   A = max(mean + 2 s) - min(mean - 2 s).
+
+diagonals (ISO 230-6): the same on the four body diagonals of a box; the greatest of each.
+circular (ISO 230-4): G, the range of radii about the least-squares centre, of each direction; H, the greatest
+difference between the directions at one angle; F, greatest and least deviation from the nominal radius.
+probing (after ISO 230-10): P, the range of the distances of 25 touches from the centre of the least-squares sphere, and
+its size error.
+
+The test uncertainty U is twice the standard deviation of each result under errors of the instrument, drawn at random
+(JCGM 101): noise, an error in proportion to length, and drift during the test as given.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError
+from pm3dof_pin.files import csv_text, read_text, write_text_atomically
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.export_file import ColumnMap, Export
+from pm3dof_pin.measuring.measurement_file import command_columns
+from pm3dof_pin.typing import Array
+
+AcceptanceTest = Literal["positioning", "diagonals", "circular", "probing"]
+STANDARDS: dict[AcceptanceTest, str] = {
+    "positioning": "ISO 230-2",
+    "diagonals": "ISO 230-6",
+    "circular": "ISO 230-4",
+    "probing": "after ISO 230-10",
+}
+_COLUMNS: dict[AcceptanceTest, tuple[str, ...]] = {
+    "positioning": ("target_m", "direction", "deviation_m"),
+    "diagonals": ("diagonal", "target_m", "direction", "deviation_m"),
+    "circular": ("angle_rad", "direction", "radius_m"),
+    "probing": ("x_m", "y_m", "z_m"),
+}
+_MIN_RUNS, _MIN_TARGETS, _MIN_TOUCHES, _MIN_ANGLES = 2, 5, 9, 12
+_DRAWS = 400
+_RINGS = ((0.0, 1, 0.0), (22.5, 4, 0.0), (45.0, 8, 22.5), (67.5, 4, 0.0), (90.0, 8, 22.5))  # ISO 10360-5
+_ROUNDS = 10  # of Gauss-Newton
+_SAME = 1e-7  # [m, rad]
+_SIDES = (1.0, -1.0)
+
+
+@dataclass(frozen=True)
+class InstrumentErrors:
+    """Standard deviations of what an instrument adds to a test."""
+
+    noise: float = 0.0  #: of a reading [m]
+    per_length: float = 0.0  #: of an error in proportion to length, such as of expansion or wavelength [1]
+    drift: float = 0.0  #: from the first reading to the last [m]
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for name, value in vars(self).items():
+            if not 0.0 <= value < np.inf:
+                raise InvalidValueError(name, value, "a standard deviation of at least 0")
+
+
+@dataclass(frozen=True)
+class AcceptanceResult:
+    """Results of a test, each with its test uncertainty."""
+
+    test: AcceptanceTest  #: which
+    values: dict[str, float]  #: results by their symbols [m]
+    uncertainties: dict[str, float]  #: expanded test uncertainty U of each, k = 2 [m]
+    readings: int  #: number of readings
+
+    @classmethod
+    def read(cls, path: Path | str) -> AcceptanceResult:
+        """Read results that were written as JSON; raise DescriptionError for anything else."""
+        try:
+            data = json.loads(read_text(path))
+            values, uncertainties = data["results_m"], data["test_uncertainties_k2_m"]
+            numbers = [*values.values(), *uncertainties.values(), data["readings"]]
+            if data["test"] not in STANDARDS or set(values) != set(uncertainties) or not np.isfinite(numbers).all():
+                raise ValueError(data["test"])
+            return cls(data["test"], dict(values), dict(uncertainties), int(data["readings"]))
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+            raise DescriptionError(path, "contents", f"expected results of an acceptance test ({error!r})") from error
+
+    def as_data(self) -> dict[str, Any]:
+        """Return everything as plain data; keys end in their unit."""
+        return {
+            "test": self.test,
+            "standard": STANDARDS[self.test],
+            "readings": self.readings,
+            "results_m": dict(self.values),
+            "test_uncertainties_k2_m": dict(self.uncertainties),
+        }
+
+
+def planned_targets(
+    test: AcceptanceTest, place: tuple[float, ...], *, targets: int = _MIN_TARGETS, runs: int = 5
+) -> tuple[Array, dict[str, Array]]:
+    """Return the points of a test in their order, shape=(n, 3) [m], and the columns that describe each.
+
+    Args:
+        test: which.
+        place: base axes [m]: both ends of a line, or two opposite corners of a box, shape=(6,); or centre and radius of
+            a circle in the plane of x and y, or of a sphere, shape=(4,).
+        targets: on a line or diagonal; on a circle 36 times runs.
+        runs: from each side, or rounds in each direction.
+
+    Raises:
+        InvalidValueError: too few targets or runs, a place of another shape, or no extent.
+    """
+    if test not in get_args(AcceptanceTest):
+        raise InvalidValueError("test", test, f"one of {', '.join(get_args(AcceptanceTest))}")
+    if targets < _MIN_TARGETS or runs < _MIN_RUNS:
+        raise InvalidValueError("targets, runs", (targets, runs), f"at least {_MIN_TARGETS} and {_MIN_RUNS}")
+    numbers, expected = np.array(place, dtype=float), 4 if test in ("circular", "probing") else 6
+    if numbers.shape != (expected,) or not np.isfinite(numbers).all():
+        raise InvalidValueError("place", place, f"{expected} finite numbers for {test}")
+    extent = numbers[3] if expected == 4 else np.linalg.norm(numbers[3:] - numbers[:3])
+    if not extent > 0.0:
+        raise InvalidValueError("place", place, "a positive length or radius")
+    if test == "probing":
+        touches = [(tilt, start + 360.0 * k / count) for tilt, count, start in _RINGS for k in range(count)]
+        tilt, turn = np.radians(touches).T
+        normals = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], axis=1)
+        return numbers[:3] + numbers[3] * normals, {"touch": np.arange(1.0, len(normals) + 1.0)}
+    if test == "circular":
+        once = 2.0 * np.pi * np.arange(36) / 36.0
+        angles = np.concatenate([side * once % (2.0 * np.pi) for side in _SIDES for _ in range(runs)])
+        sides = np.repeat(_SIDES, runs * len(once))
+        points = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+        return numbers[:3] + numbers[3] * points, {"angle_rad": angles, "direction": sides}
+    low, high = numbers[:3], numbers[3:]
+    lines = [(low, high)]
+    if test == "diagonals":
+        # the four that start at the lower face
+        corners = [np.array(c, dtype=bool) for c in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0))]
+        lines = [(np.where(c, high, low), np.where(c, low, high)) for c in corners]
+    shares = np.linspace(0.0, 1.0, targets)
+    order = np.concatenate([np.concatenate([shares, shares[::-1]]) for _ in range(runs)])
+    sides = np.tile(np.repeat(_SIDES, targets), runs)
+    points = np.concatenate([a + order[:, None] * (b - a) for a, b in lines])
+    columns = {"target_m": np.concatenate([order * np.linalg.norm(b - a) for a, b in lines])}
+    columns |= {"direction": np.tile(sides, len(lines))}
+    if test == "diagonals":
+        columns = {"diagonal": np.repeat(np.arange(1.0, len(lines) + 1.0), len(order)), **columns}
+    return points, columns
+
+
+def write_acceptance_plan(
+    robot: Robot,
+    points: Array,
+    columns: Mapping[str, Array],
+    path: Path | str,
+    compensation: Compensation | None = None,
+) -> Path:
+    """Write the commands of a test, corrected if a calibration is given.
+
+    A tool with six degrees of freedom keeps its orientation at home.
+
+    Raises:
+        UnreachablePoseError: a point is out of reach.
+        OutputError: the file cannot be written.
+    """
+    transforms = np.tile(robot.configuration(robot.home.q).tool_placement.homogeneous, (len(points), 1, 1))
+    transforms[:, :3, 3] = points
+    nominal = robot.reach(transforms if len(robot.tool_motions) == len(TOOL_COMPONENTS) else points)
+    commands = nominal.commands if compensation is None else compensation.compensate(nominal).commands
+    named = dict(zip(command_columns(robot), commands.T, strict=True)) | dict(columns)
+    named |= zip(("nominal_x_m", "nominal_y_m", "nominal_z_m"), points.T, strict=True)
+    return write_text_atomically(path, csv_text([list(named), *np.column_stack(list(named.values())).tolist()]))
+
+
+def evaluate_acceptance(
+    test: AcceptanceTest,
+    path: Path | str,
+    *,
+    instrument: InstrumentErrors | None = None,
+    radius: float | None = None,
+    columns: ColumnMap | None = None,
+    seed: int = 0,
+) -> AcceptanceResult:
+    """Evaluate a test from a file.
+
+    Columns: `target_m,direction,deviation_m` (1 approached upwards, -1 downwards), for diagonals also `diagonal`;
+    `angle_rad,direction,radius_m` (1 counter-clockwise); or `x_m,y_m,z_m` of touches of a sphere.
+
+    Args:
+        test: which.
+        path: the file.
+        instrument: what the instrument adds; nothing by default.
+        radius: nominal radius of a circle, or of a sphere with the stylus added [m].
+        columns: what the file does not say of itself.
+        seed: of the random numbers of the uncertainty.
+
+    Raises:
+        MeasurementError: the file cannot be read, or has too few targets, runs, angles or touches.
+        InvalidValueError: an unknown test.
+    """
+    if test not in get_args(AcceptanceTest):
+        raise InvalidValueError("test", test, f"one of {', '.join(get_args(AcceptanceTest))}")
+    needed, errors, generator = _COLUMNS[test], instrument or InstrumentErrors(), np.random.default_rng(seed)
+    table = Export.read(Path(path), needed, columns).table(needed)
+    table.keep(np.asarray(np.isfinite(table.matrix(needed)).all(axis=1)))
+    data = {name: table[name] for name in needed}
+    if "direction" in data and (wrong := ~np.isin(data["direction"], _SIDES)).any():
+        raise MeasurementError(table.path, "direction is neither 1 nor -1", table.lines_where(wrong))
+    evaluate: dict[AcceptanceTest, Callable[[dict[str, Array]], dict[str, float]]] = {
+        "positioning": _positioning,
+        "diagonals": _diagonals,
+        "circular": lambda each: _circular(each, radius),
+        "probing": lambda each: _probing(each, radius),
+    }
+    try:
+        values = evaluate[test](data)
+    except InvalidValueError as error:
+        raise MeasurementError(table.path, str(error)) from error
+    read = needed[-1:] if test != "probing" else needed
+    time = np.linspace(0.0, 1.0, len(table))
+    drawn: dict[str, list[float]] = {name: [] for name in values}
+    for _ in range(_DRAWS):
+        scale, drift = errors.per_length * generator.standard_normal(), errors.drift * generator.standard_normal()
+        other = dict(data)
+        for name in read:
+            length = data["target_m"] if "target_m" in data else data[name]
+            noise = errors.noise * generator.standard_normal(len(table))
+            other[name] = data[name] + scale * length + drift * time + noise
+        for name, value in evaluate[test](other).items():
+            drawn[name].append(value)
+    # about the result itself: noise also makes every range too large, which counts as uncertainty
+    spread = {name: 2.0 * float(np.sqrt(np.mean((np.array(drawn[name]) - values[name]) ** 2))) for name in values}
+    return AcceptanceResult(test, values, spread, len(table))
+
+
+def _positioning(data: dict[str, Array]) -> dict[str, float]:
+    places = np.round(data["target_m"] / _SAME)
+    targets = np.unique(places)
+    if len(targets) < _MIN_TARGETS:
+        raise InvalidValueError(
+            "positioning", problem=f"has {len(targets)} targets", expected=f"{_MIN_TARGETS} or more"
+        )
+    means, spreads = np.empty((2, len(targets), 2))
+    for i, target in enumerate(targets):
+        for j, side in enumerate(_SIDES):
+            values = data["deviation_m"][(places == target) & (data["direction"] == side)]
+            if len(values) < _MIN_RUNS:
+                problem = f"has {len(values)} runs in direction {side:g} at target {_SAME * target:.6g} m"
+                raise InvalidValueError("positioning", problem=problem, expected=f"{_MIN_RUNS} or more")
+            means[i, j], spreads[i, j] = values.mean(), values.std(ddof=1)
+    reversal = means[:, 0] - means[:, 1]
+    both = 2.0 * spreads.sum(axis=1) + np.abs(reversal)
+    return {
+        "A": float((means + 2.0 * spreads).max() - (means - 2.0 * spreads).min()),
+        "E": float(np.ptp(means)),
+        "M": float(np.ptp(means.mean(axis=1))),
+        "R": float(np.maximum(both, 4.0 * spreads.max(axis=1)).max()),
+        "B": float(np.abs(reversal).max()),
+    }
+
+
+def _diagonals(data: dict[str, Array]) -> dict[str, float]:
+    parts = []
+    for number in np.unique(data["diagonal"]):
+        own = data["diagonal"] == number
+        parts.append(_positioning({name: values[own] for name, values in data.items()}))
+    return {name: max(part[name] for part in parts) for name in parts[0]}
+
+
+def _circular(data: dict[str, Array], radius: float | None) -> dict[str, float]:
+    found, paths = {}, {}
+    for side, word in zip(_SIDES, ("ccw", "cw"), strict=True):
+        own = data["direction"] == side
+        if not own.any():
+            continue
+        angles, radii = data["angle_rad"][own], data["radius_m"][own]
+        places = np.round(np.mod(angles, 2.0 * np.pi) / _SAME)
+        if len(np.unique(places)) < _MIN_ANGLES:
+            raise InvalidValueError("circular", problem=f"has fewer than {_MIN_ANGLES} angles {word}", expected="more")
+        # centred by least squares: eccentricity is of the instrument's set-up
+        terms = np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)
+        centre = np.linalg.lstsq(terms, radii, rcond=None)[0]
+        about = radii - terms[:, 1:] @ centre[1:]
+        found[f"G_{word}"] = float(np.ptp(about))
+        if radius is not None:
+            found[f"F_max_{word}"], found[f"F_min_{word}"] = float(about.max() - radius), float(about.min() - radius)
+        paths[word] = {int(place): float(radii[places == place].mean()) for place in np.unique(places)}
+    if len(paths) > 1 and (common := sorted(set(paths["ccw"]) & set(paths["cw"]))):
+        found["H"] = max(abs(paths["ccw"][place] - paths["cw"][place]) for place in common)
+    return found
+
+
+def _probing(data: dict[str, Array], radius: float | None) -> dict[str, float]:
+    points = np.column_stack([data[name] for name in _COLUMNS["probing"]])
+    if len(points) < _MIN_TOUCHES:
+        raise InvalidValueError("probing", problem=f"has {len(points)} touches", expected=f"{_MIN_TOUCHES} or more")
+    centre = points.mean(axis=0)
+    size = float(np.linalg.norm(points - centre, axis=1).mean())
+    for _ in range(_ROUNDS):
+        spans = points - centre
+        distances = np.linalg.norm(spans, axis=1)
+        rows = np.column_stack([spans / distances[:, None], np.ones(len(points))])
+        step = np.linalg.lstsq(rows, distances - size, rcond=None)[0]
+        centre, size = centre + step[:3], size + float(step[3])
+    distances = np.linalg.norm(points - centre, axis=1)
+    found = {"P": float(np.ptp(distances))}
+    return found if radius is None else found | {"size": float(distances.mean() - radius)}

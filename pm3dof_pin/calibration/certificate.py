@@ -1,0 +1,290 @@
+"""A report to sign: what is stated of a machine, with expanded uncertainty and decision rule, and what is not claimed.
+
+What the calibration cannot know comes from a YAML file: the machine and the instrument with their serial numbers and
+certificates, date, temperature, procedure, who signs, and limits to decide on. Statements come from a calibration's
+folder and from acceptance tests. U is the expanded uncertainty, k = 2; with a limit T the decision rule is
+
+    simple           conforms if value <= T,
+    guarded          conforms if value + U <= T, does not if value - U > T, otherwise undecided (ISO 14253-1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+
+from pm3dof_pin.calibration.acceptance import AcceptanceResult
+from pm3dof_pin.calibration.folder import checksum_of
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.figures.html_page import html_page, html_table
+from pm3dof_pin.files import read_text
+
+DecisionRule = Literal["simple", "guarded"]
+
+_TEXT = {"type": "string", "minLength": 1}
+_ITEM_KEYS = ("name", "serial_number", "certificate", "calibrated_until")
+_ITEM = {
+    "type": "object",
+    "required": ["name", "serial_number"],
+    "additionalProperties": False,
+    "properties": dict.fromkeys(_ITEM_KEYS, _TEXT),
+}
+_NUMBER_OR_NONE = {"type": ["number", "null"]}
+SCHEMA: dict[str, Any] = {
+    "$schema": "https://json-schema.org/draft/2020-12/schema",
+    "title": "Calibration report of pm3dof_pin",
+    "type": "object",
+    "required": [
+        *("robot", "date", "machine", "instrument", "temperature_C", "procedure", "versions", "calibration_sha256"),
+        *("decision_rule", "statements", "not_claimed", "signed_by"),
+    ],
+    "additionalProperties": False,
+    "properties": {
+        "robot": _TEXT,
+        "date": {"type": "string", "pattern": "^\\d{4}-\\d{2}-\\d{2}$"},
+        "machine": _ITEM,
+        "instrument": _ITEM,
+        "temperature_C": {
+            "type": "array",
+            "items": {"type": "number"},
+            "minItems": 2,
+            "maxItems": 2,
+            "description": "lowest and highest during the measurements",
+        },
+        "procedure": _TEXT,
+        "signed_by": _TEXT,
+        "place": _TEXT,
+        "versions": {"type": "object", "additionalProperties": _TEXT},
+        "calibration_sha256": {"type": "string", "pattern": "^[0-9a-f]{64}$"},
+        "decision_rule": {"enum": ["simple", "guarded"]},
+        "statements": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["name", "symbol", "value_m", "expanded_uncertainty_k2_m", "limit_m", "decision", "source"],
+                "additionalProperties": False,
+                "properties": {
+                    "name": _TEXT,
+                    "symbol": _TEXT,
+                    "value_m": {"type": "number"},
+                    "expanded_uncertainty_k2_m": _NUMBER_OR_NONE,
+                    "limit_m": _NUMBER_OR_NONE,
+                    "decision": {"enum": ["conforms", "does not conform", "undecided", "no limit"]},
+                    "source": _TEXT,
+                },
+            },
+        },
+        "not_claimed": {"type": "array", "items": _TEXT},
+    },
+}
+"""JSON Schema of :attr:`Certificate.data`."""
+
+_REQUIRED = ("date", "machine", "instrument", "temperature_C", "procedure", "signed_by")
+_OPTIONAL = ("place", "limits_m", "decision_rule")
+_BOUND = "95 % bound of the tip error over the workspace, corrected"
+_RMS = "tip error over the workspace, corrected, root mean square"
+_PACKAGES = ("pm3dof_pin", "pin", "numpy", "scipy")
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A report to sign."""
+
+    data: dict[str, Any]  #: everything, as :data:`SCHEMA` describes it
+
+    @classmethod
+    def make(cls, calibration: Path | str, about: Path | str, tests: Sequence[AcceptanceResult] = ()) -> Certificate:
+        """Collect the statements of a calibration and of tests on the calibrated machine.
+
+        Args:
+            calibration: the folder of the calibration.
+            about: YAML file: date, machine, instrument, temperature_C, procedure, signed_by; optional are place,
+                decision_rule (guarded), and limits_m by symbol.
+            tests: results of acceptance tests.
+
+        Raises:
+            DescriptionError: a file is unreadable, an entry is missing or of another kind, or the folder was changed.
+        """
+        given = _about(Path(about))
+        folder = Path(calibration)
+        checksum = checksum_of(folder)
+        try:
+            summary = yaml.safe_load(read_text(folder / "calibration.yaml"))
+            found = _of_calibration(summary)
+        except (yaml.YAMLError, LookupError, TypeError, AttributeError) as error:
+            raise DescriptionError(
+                folder / "calibration.yaml", "contents", f"expected a summary ({error!r})"
+            ) from error
+        for test in tests:
+            data = test.as_data()
+            for symbol, value in test.values.items():
+                name, source = f"{test.test} test, {symbol}", f"{data['standard']}, {test.readings} readings"
+                found.append((name, f"{test.test}.{symbol}", value, test.uncertainties[symbol], source))
+        limits, rule = given.pop("limits_m", {}), given.pop("decision_rule", "guarded")
+        if unknown := sorted(set(limits) - {symbol for _, symbol, *_ in found}):
+            known = ", ".join(symbol for _, symbol, *_ in found)
+            raise DescriptionError(
+                about, "limits_m", f"expected symbols of statements, {known}; not {', '.join(unknown)}"
+            )
+        statements = [
+            {
+                "name": name,
+                "symbol": symbol,
+                "value_m": value,
+                "expanded_uncertainty_k2_m": uncertainty,
+                "limit_m": limits.get(symbol),
+                "decision": _decision(value, uncertainty, limits.get(symbol), rule),
+                "source": source,
+            }
+            for name, symbol, value, uncertainty, source in found
+        ]
+        versions = {name: entry for name in _PACKAGES if (entry := _version(name))}
+        given |= {
+            "robot": str(summary["robot"]),
+            "versions": versions,
+            "calibration_sha256": checksum,
+            "decision_rule": rule,
+        }
+        return cls(given | {"statements": statements, "not_claimed": _not_claimed(summary, tests)})
+
+    def as_html(self) -> str:
+        """Return the report as a page with lines for a signature."""
+        data = self.data
+        rows = []
+        for each in data["statements"]:
+            uncertainty, limit = each["expanded_uncertainty_k2_m"], each["limit_m"]
+            rows.append(
+                [
+                    each["name"],
+                    f"{1e6 * each['value_m']:.1f}",
+                    "not stated" if uncertainty is None else f"{1e6 * uncertainty:.1f}",
+                    "" if limit is None else f"{1e6 * limit:.1f}",
+                    each["decision"],
+                    each["source"],
+                ]
+            )
+        items = [(kind, data[kind]) for kind in ("machine", "instrument")]
+        described = [[kind, *(item.get(key, "") for key in _ITEM_KEYS)] for kind, item in items]
+        low, high = data["temperature_C"]
+        rule = {
+            "simple": "A value conforms if it does not exceed its limit; its uncertainty is not regarded.",
+            "guarded": "A value conforms if value + U does not exceed its limit; it does not if value - U exceeds it. "
+            "Otherwise it is undecided (ISO 14253-1).",
+        }[data["decision_rule"]]
+        software = ", ".join(f"{name} {number}" for name, number in data["versions"].items())
+        parts = [
+            f"<h1>Calibration report: {escape(data['machine']['name'])}</h1>",
+            f"<p>{escape(data['date'])}{', ' + escape(data['place']) if 'place' in data else ''}; "
+            f"{low:g} to {high:g} °C</p>",
+            html_table(["", "name", "serial number", "certificate", "calibrated until"], described),
+            f"<h2>Procedure</h2><p>{escape(data['procedure'])}</p>",
+            "<h2>Statements</h2><p>U is the expanded uncertainty, k = 2.</p>",
+            html_table(["", "value [µm]", "U [µm]", "limit [µm]", "decision", "source"], rows),
+            f"<p>Decision rule: {rule}</p>",
+            "<h2>Not claimed</h2><ul>" + "".join(f"<li>{escape(text)}</li>" for text in data["not_claimed"]) + "</ul>",
+            f"<p>Software: {escape(software)}. SHA-256 of the calibration: {data['calibration_sha256']}</p>",
+            f"<p><br><br>______________________________<br>{escape(data['signed_by'])}</p>",
+        ]
+        return html_page(f"Calibration report: {data['machine']['name']}", parts)
+
+
+def _about(path: Path) -> dict[str, Any]:
+    """Read and check the YAML file."""
+    try:
+        data = yaml.safe_load(read_text(path))
+    except (yaml.YAMLError, RecursionError) as error:
+        raise DescriptionError(path, "report", f"expected YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(data, dict):
+        raise DescriptionError(path, "report", f"expected {', '.join(_REQUIRED)}")
+    if missing := [key for key in _REQUIRED if key not in data]:
+        raise DescriptionError(path, "report", f"expected {', '.join(_REQUIRED)}; {', '.join(missing)} is missing")
+    if unknown := [str(key) for key in data if key not in (*_REQUIRED, *_OPTIONAL)]:
+        raise DescriptionError(
+            path, "report", f"expected {', '.join((*_REQUIRED, *_OPTIONAL))}; not {', '.join(unknown)}"
+        )
+    data = {**data, "date": str(data["date"])}
+    for key in ("date", "procedure", "signed_by", "place"):
+        if key in data and not (isinstance(data[key], str) and data[key].strip()):
+            raise DescriptionError(path, key, f"expected words, not {data[key]!r}")
+    if len(data["date"]) != len("2026-03-01") or data["date"].count("-") != len("--"):
+        raise DescriptionError(path, "date", f"expected YYYY-MM-DD, not {data['date']}")
+    for kind in ("machine", "instrument"):
+        item = data[kind]
+        if not isinstance(item, dict) or not {"name", "serial_number"} <= set(item) <= set(_ITEM_KEYS):
+            raise DescriptionError(path, kind, f"expected name and serial_number, of {', '.join(_ITEM_KEYS)}")
+        data[kind] = {key: str(value) for key, value in item.items()}
+    temperature = data["temperature_C"]
+    if not (
+        isinstance(temperature, list) and len(temperature) == len(("low", "high")) and all(map(_is_number, temperature))
+    ):
+        raise DescriptionError(path, "temperature_C", f"expected lowest and highest, not {temperature!r}")
+    limits = data.get("limits_m", {})
+    if not isinstance(limits, dict) or not all(_is_number(value) and value > 0.0 for value in limits.values()):
+        raise DescriptionError(path, "limits_m", f"expected positive numbers of metres by symbol, not {limits!r}")
+    if data.get("decision_rule", "guarded") not in ("simple", "guarded"):
+        raise DescriptionError(path, "decision_rule", f"expected simple or guarded, not {data['decision_rule']!r}")
+    return data
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < float("inf")
+
+
+def _of_calibration(summary: Mapping[str, Any]) -> list[tuple[str, str, float, float | None, str]]:
+    """Return name, symbol, value, uncertainty and source of what a calibration states."""
+    found: list[tuple[str, str, float, float | None, str]] = []
+    interval, bound = summary["tip_error_rms_95_percent_interval_m"], summary["tip_error_95_percent_bound_m"]
+    if interval is not None:
+        low, high = interval
+        found.append((_RMS, "tip.rms", 0.5 * (low + high), 0.5 * (high - low), "calibration, 95 % interval"))
+    if bound is not None:
+        # a bound contains its uncertainty
+        found.append((_BOUND, "tip.bound_95", bound, 0.0, "calibration, uncertainty included"))
+    if "validation" in summary:
+        errors = summary["validation"]["tip_error_after_m"]
+        count = summary["validation"]["poses"]
+        found.append(
+            (f"greatest tip error at {count} validation poses", "tip.validation_max", errors["max"], None, "validation")
+        )
+    return found
+
+
+def _not_claimed(summary: Mapping[str, Any], tests: Sequence[AcceptanceResult]) -> list[str]:
+    texts = [f"Not seen by the measurements: {summary['what_was_not_seen']}"] if summary["what_was_not_seen"] else []
+    texts += [f"The calibration was written although {reason}" for reason in summary.get("forced_against", ())]
+    texts.append(
+        "Other temperatures, loads and speeds than those of the measurements; wear, and changes after this date."
+    )
+    texts.append("Statements hold for commands corrected by this calibration, within the workspace of the description.")
+    if not tests:
+        texts.append("No test of ISO 230 was made on the calibrated machine.")
+    else:
+        texts.append(
+            "Tests hold for the lines, circles and spheres that were measured; they are no statement on others."
+        )
+    return texts
+
+
+def _decision(value: float, uncertainty: float | None, limit: float | None, rule: str) -> str:
+    if limit is None:
+        return "no limit"
+    if rule == "simple":
+        return "conforms" if value <= limit else "does not conform"
+    if uncertainty is None:
+        return "undecided"
+    if value + uncertainty <= limit:
+        return "conforms"
+    return "does not conform" if value - uncertainty > limit else "undecided"
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name.replace("_", "-"))
+    except PackageNotFoundError:
+        return ""

@@ -1,0 +1,90 @@
+"""`pm3dof acceptance`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import typer
+
+from pm3dof_pin.cli.options import ColumnsOf, Json, RobotOptions
+from pm3dof_pin.cli.output import print_result, table_lines
+
+_Test: TypeAlias = Literal["positioning", "diagonals", "circular", "probing"]
+_Six: TypeAlias = tuple[float, float, float, float, float, float]
+_Four: TypeAlias = tuple[float, float, float, float]
+
+
+def acceptance(
+    action: Annotated[Literal["plan", "evaluate"], typer.Argument(help="What to do.", show_default=False)],
+    test: Annotated[_Test, typer.Argument(help="Which test of ISO 230.", show_default=False)],
+    which: RobotOptions,
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="evaluate: what was measured (CSV).")] = None,
+    line: Annotated[
+        _Six | None,
+        typer.Option(metavar="X Y Z X Y Z", help="plan: ends of a line, or opposite corners of a box, base axes [m]."),
+    ] = None,
+    circle: Annotated[
+        _Four | None, typer.Option(metavar="X Y Z R", help="plan: centre and radius of a circle or sphere [m].")
+    ] = None,
+    targets: Annotated[int, typer.Option(min=5, help="plan: targets on a line.")] = 5,
+    runs: Annotated[int, typer.Option(min=2, help="plan: runs from each side, or rounds in each direction.")] = 5,
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="plan: correct the commands by this calibration.")
+    ] = None,
+    columns: ColumnsOf = None,
+    radius: Annotated[
+        float | None, typer.Option(min=1e-9, metavar="METRES", help="evaluate: nominal radius of the circle or sphere.")
+    ] = None,
+    noise: Annotated[float, typer.Option(min=0.0, help="evaluate: noise of a reading of the instrument [m].")] = 0.0,
+    per_length: Annotated[
+        float, typer.Option(min=0.0, help="evaluate: its relative error of lengths, standard deviation.")
+    ] = 0.0,
+    drift: Annotated[
+        float, typer.Option(min=0.0, help="evaluate: drift during the test, standard deviation [m].")
+    ] = 0.0,
+    out: Annotated[Path, typer.Option(help="Output: commands (CSV), or results (JSON).")] = Path(
+        "results/acceptance.csv"
+    ),
+    as_json: Json = False,
+) -> None:
+    """Plan a test of ISO 230-2, -4, -6 or -10, or evaluate one from a file, with its test uncertainty; in metres."""
+    import json
+
+    from pm3dof_pin.calibration.acceptance import (
+        STANDARDS,
+        InstrumentErrors,
+        evaluate_acceptance,
+        planned_targets,
+        write_acceptance_plan,
+    )
+    from pm3dof_pin.calibration.folder import read_compensation
+    from pm3dof_pin.files import write_text_atomically
+    from pm3dof_pin.measuring.export_file import ColumnMap
+
+    if action == "plan":
+        place = circle if test in ("circular", "probing") else line
+        if place is None or file is not None:
+            name = "--circle" if test in ("circular", "probing") else "--line"
+            raise typer.BadParameter(f"plan {test} takes {name}, and no file")
+        points, described = planned_targets(test, place, targets=targets, runs=runs)
+        known = None if calibration is None else read_compensation(calibration)
+        robot = which.load() if known is None else known.errors.robot
+        path = write_acceptance_plan(robot, points, described, out.with_suffix(".csv"), known)
+        plan: dict[str, Any] = {"robot": robot.name, "test": test, "standard": STANDARDS[test], "points": len(points)}
+        plan |= {"corrected": known is not None}
+        said = "corrected by the calibration" if known is not None else "not corrected"
+        print_result(plan, [f"{STANDARDS[test]}: {len(points)} points, {said}"], as_json=as_json, files=[path])
+        return
+    if file is None:
+        raise typer.BadParameter("evaluate takes a file")
+    errors = InstrumentErrors(noise, per_length, drift)
+    given = None if columns is None else ColumnMap.load(columns)
+    found = evaluate_acceptance(test, file, instrument=errors, radius=radius, columns=given)
+    result = {"robot": which.load().name} | found.as_data()
+    path = write_text_atomically(out.with_suffix(".json"), json.dumps(result, indent=2) + "\n")
+    rows = [
+        [name, f"{1e6 * value:.1f}", f"{1e6 * found.uncertainties[name]:.1f}"] for name, value in found.values.items()
+    ]
+    lines = [f"{STANDARDS[test]}, {found.readings} readings", *table_lines(["result", "[µm]", "U, k = 2"], rows)]
+    print_result(result, lines, as_json=as_json, files=[path])

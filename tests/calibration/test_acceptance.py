@@ -1,0 +1,233 @@
+"""Tests of ISO 230 on made-up machines whose results follow by hand, and the report to sign."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+import scipy.optimize
+import yaml
+
+import pm3dof_pin as pm
+from pm3dof_pin.calibration.acceptance import (
+    AcceptanceResult,
+    InstrumentErrors,
+    evaluate_acceptance,
+    planned_targets,
+    write_acceptance_plan,
+)
+from pm3dof_pin.calibration.certificate import SCHEMA, Certificate
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError
+from pm3dof_pin.measuring.measurement_file import read_plan
+
+MICROMETRE = 1e-6
+
+
+def _positions(path: Path, diagonals: int = 0) -> Path:
+    """Five targets; means 0 .. 8 um upwards, 3 um more downwards; two runs, 1 um to either side."""
+    rows = ["diagonal,target_mm,direction,deviation_um"] if diagonals else ["target_mm,direction,deviation_um"]
+    for number in range(1, max(diagonals, 1) + 1):
+        for k in range(5):
+            for side in (1, -1):
+                for run in (-1.0, 1.0):
+                    value = number * (2.0 * k + (3.0 if side < 0 else 0.0) + run)
+                    rows.append(",".join([*([str(number)] if diagonals else []), str(25.0 * k), str(side), str(value)]))
+    path.write_text("\n".join(rows))
+    return path
+
+
+def test_positioning(tmp_path: Path) -> None:
+    """With two runs at +-1 um the standard deviation is 2^(1/2) um: by hand from the definitions of ISO 230-2."""
+    found = evaluate_acceptance("positioning", _positions(tmp_path / "line.csv")).values
+    s = np.sqrt(2.0)
+    expected = {"A": 11.0 + 4.0 * s, "E": 11.0, "M": 8.0, "R": 4.0 * s + 3.0, "B": 3.0}
+    assert found == pytest.approx({name: value * MICROMETRE for name, value in expected.items()})
+
+
+def test_diagonals_are_judged_by_the_worst(tmp_path: Path) -> None:
+    one = evaluate_acceptance("positioning", _positions(tmp_path / "line.csv")).values
+    found = evaluate_acceptance("diagonals", _positions(tmp_path / "box.csv", 4)).values
+    assert found == pytest.approx({name: 4.0 * value for name, value in one.items()})
+
+
+def test_circular(tmp_path: Path) -> None:
+    """An oval of +-5 um, out of centre by 20 um, 4 um larger clockwise."""
+    angles = np.radians(np.arange(0.0, 360.0, 10.0))
+    rows = ["angle_deg,direction,radius_m"]
+    for side, more in ((1, 0.0), (-1, 4e-6)):
+        radii = 0.1 + 20e-6 * np.cos(angles - 1.0) + 5e-6 * np.cos(2.0 * angles) + more
+        rows += [f"{float(np.degrees(a))!r},{side},{r!r}" for a, r in zip(angles.tolist(), radii.tolist(), strict=True)]
+    path = tmp_path / "circle.csv"
+    path.write_text("\n".join(rows))
+    found = evaluate_acceptance("circular", path, radius=0.1, instrument=InstrumentErrors(per_length=1e-5))
+    expected = {"G_ccw": 10e-6, "F_max_ccw": 5e-6, "F_min_ccw": -5e-6}
+    expected |= {"G_cw": 10e-6, "F_max_cw": 9e-6, "F_min_cw": -1e-6, "H": 4e-6}
+    assert found.values == pytest.approx(expected, abs=1e-9)
+    # 0.1 m times 10 um/m, twice
+    assert found.uncertainties["F_max_ccw"] == pytest.approx(2e-6, rel=0.1)
+    assert found.uncertainties["G_ccw"] < 1e-8
+
+
+def test_probing_as_another_optimiser_fits_it(tmp_path: Path) -> None:
+    points, _ = planned_targets("probing", (0.1, 0.2, 0.3, 0.0125))
+    assert len(points) == 25
+    assert (points[:, 2] >= 0.3 - 1e-12).all()
+    seen = points + np.random.default_rng(0).normal(scale=3e-6, size=points.shape)
+    path = tmp_path / "sphere.csv"
+    path.write_text("x_m,y_m,z_m\n" + "\n".join(",".join(map(repr, row)) for row in seen.tolist()))
+
+    def off(x: np.ndarray) -> np.ndarray:
+        return 1e6 * (np.linalg.norm(seen - x[:3], axis=1) - x[3])
+
+    best = scipy.optimize.least_squares(off, [0.1, 0.2, 0.3, 0.0125], xtol=1e-15, ftol=1e-15, x_scale=1e-6)
+    found = evaluate_acceptance("probing", path, radius=0.0125).values
+    assert found["P"] == pytest.approx(1e-6 * np.ptp(off(best.x)), rel=1e-6)
+    assert found["size"] == pytest.approx(best.x[3] - 0.0125, abs=1e-10)
+
+
+def test_noise_is_in_the_uncertainty(tmp_path: Path) -> None:
+    """Of a reversal that is a difference of means of two readings each: 2 times 1 um, or more as it is a maximum."""
+    path = _positions(tmp_path / "line.csv")
+    found = evaluate_acceptance("positioning", path, instrument=InstrumentErrors(noise=1e-6))
+    assert 1.5e-6 < found.uncertainties["B"] < 4e-6
+    assert AcceptanceResult.read(_saved(found, tmp_path)) == found
+
+
+def _saved(found: AcceptanceResult, folder: Path) -> Path:
+    path = folder / "result.json"
+    path.write_text(json.dumps(found.as_data()))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("test", "place"), [("positioning", (-8e-3, 0, 0.13, 8e-3, 2e-3, 0.133)), ("circular", (0, 0, 0.13, 8e-3))]
+)
+def test_planned_commands_bring_the_tool_there(test: Any, place: tuple[float, ...], tmp_path: Path) -> None:
+    robot = pm.load("hexapod")
+    points, columns = planned_targets(test, place, runs=2)
+    path = write_acceptance_plan(robot, points, columns, tmp_path / "plan.csv")
+    commands, _ = read_plan(path, robot)
+    poses = robot.forward(commands)
+    np.testing.assert_allclose(poses.positions, points, atol=1e-9)
+    np.testing.assert_allclose(
+        poses.rotations,
+        np.broadcast_to(robot.configuration(robot.home.q).tool_placement.rotation, poses.rotations.shape),
+        atol=1e-9,
+    )
+
+
+def test_targets_come_from_both_sides() -> None:
+    points, columns = planned_targets("diagonals", (0, 0, 0, 1, 1, 1), targets=5, runs=3)
+    assert len(points) == 4 * 5 * 2 * 3
+    for number in range(1, 5):
+        own = columns["diagonal"] == number
+        along = columns["target_m"][own]
+        assert np.ptp(along) == pytest.approx(np.sqrt(3.0))
+        # upwards, then downwards
+        assert (np.diff(along[:5]) > 0.0).all()
+        assert (np.diff(along[5:10]) < 0.0).all()
+    with pytest.raises(InvalidValueError, match="6 finite numbers"):
+        planned_targets("positioning", (0, 0, 0, 1))
+
+
+@pytest.mark.parametrize(
+    ("test", "text", "says"),
+    [
+        ("positioning", "target_m,direction,deviation_m\n0,1,0\n0,1,0", "has 1 targets"),
+        ("positioning", "target_m,direction,deviation_m\n0,2,0", "line 2: direction is neither 1 nor -1"),
+        ("positioning", "target_m,deviation_m\n0,0", "no column direction"),
+        ("circular", "angle_deg,direction,radius_m\n0,1,0.1\n90,1,0.1", "fewer than 12 angles"),
+        ("probing", "x_m,y_m,z_m\n0,0,1\n0,1,0", "has 2 touches"),
+    ],
+)
+def test_a_wrong_file_is_refused(test: Any, text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.csv"
+    path.write_text(text)
+    with pytest.raises(MeasurementError, match=says):
+        evaluate_acceptance(test, path)
+
+
+ABOUT = {
+    "date": "2026-03-01",
+    "machine": {"name": "Tripod 7", "serial_number": "T-007"},
+    "instrument": {"name": "Laser tracker", "serial_number": 750123, "certificate": "DKD-1 <2025>"},
+    "temperature_C": [19.8, 20.3],
+    "procedure": "40 poses by tracker, then the tests, all with corrected commands.",
+    "signed_by": "A. B.",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
+    machine = pm.SimulatedMachine.random(errors, generator, everything=False)
+    commands = pm.reachable_poses(errors.robot, 40, generator).commands
+    rows = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+    return pm.calibrate(rows, errors, "lm").save(tmp_path_factory.mktemp("signed") / "calibration")
+
+
+def test_a_report_to_sign(folder: Path, tmp_path: Path, run: Callable[..., Any]) -> None:
+    """Decisions by the rule of ISO 14253-1, worked out here; the JSON is as the schema says."""
+    about, results = tmp_path / "about.yaml", tmp_path / "positioning.json"
+    values, spread = {"A": 10e-6, "B": 5e-6, "R": 9e-6}, {"A": 2e-6, "B": 2e-6, "R": 2e-6}
+    results.write_text(json.dumps(AcceptanceResult("positioning", values, spread, 20).as_data()))
+    limits = {"positioning.A": 13e-6, "positioning.B": 6e-6, "positioning.R": 6e-6}
+    about.write_text(yaml.safe_dump(ABOUT | {"limits_m": limits}))
+    done = run(
+        "certificate", str(folder), "--about", "about.yaml", "--test", "positioning.json", "--out", "r", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    data = json.loads((tmp_path / "r" / "certificate.json").read_text())
+    jsonschema.validate(data, json.loads((tmp_path / "r" / "certificate.schema.json").read_text()))
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    decisions = {each["symbol"]: each["decision"] for each in data["statements"]}
+    assert decisions["positioning.A"] == "conforms"
+    assert decisions["positioning.B"] == "undecided"
+    assert decisions["positioning.R"] == "does not conform"
+    assert decisions["tip.bound_95"] == "no limit"
+    summary = yaml.safe_load((folder / "calibration.yaml").read_text())
+    rms = next(each for each in data["statements"] if each["symbol"] == "tip.rms")
+    low, high = summary["tip_error_rms_95_percent_interval_m"]
+    assert rms["value_m"] - rms["expanded_uncertainty_k2_m"] == pytest.approx(low)
+    assert rms["value_m"] + rms["expanded_uncertainty_k2_m"] == pytest.approx(high)
+    page = (tmp_path / "r" / "certificate.html").read_text()
+    assert "DKD-1 &lt;2025&gt;" in page
+    assert "Not claimed" in page
+    assert any("Other temperatures" in text for text in data["not_claimed"])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"date": None}, "date is missing"),
+        ({"date": "1 March"}, "expected YYYY-MM-DD"),
+        ({"machine": {"name": "x"}}, "expected name and serial_number"),
+        ({"temperature_C": 20}, "lowest and highest"),
+        ({"limits_m": {"tip.rms": -1.0}}, "positive numbers"),
+        ({"limits_m": {"tip.best": 1.0}}, "expected symbols of statements, .*tip.rms.*; not tip.best"),
+        ({"decision_rule": "generous"}, "simple or guarded"),
+        ({"colour": "red"}, "not colour"),
+        ({"procedure": " "}, "expected words"),
+    ],
+)
+def test_a_wrong_description_is_refused(change: dict[str, Any], says: str, folder: Path, tmp_path: Path) -> None:
+    about = tmp_path / "about.yaml"
+    about.write_text(yaml.safe_dump({key: value for key, value in (ABOUT | change).items() if value is not None}))
+    with pytest.raises(DescriptionError, match=says):
+        Certificate.make(folder, about)
+
+
+def test_a_changed_summary_is_not_signed(folder: Path, tmp_path: Path) -> None:
+    about, summary = tmp_path / "about.yaml", folder / "calibration.yaml"
+    about.write_text(yaml.safe_dump(ABOUT))
+    text = summary.read_text()
+    summary.write_text(text.replace("method: lm", "method: gp"))
+    with pytest.raises(DescriptionError, match="was changed since the calibration was written"):
+        Certificate.make(folder, about)
+    summary.write_text(text)
+    assert Certificate.make(folder, about).data["versions"]["pin"]
