@@ -12,7 +12,7 @@ frame         the instrument has a frame of its own                  6: the base
 targets       points off the tool point, known to `target_sigma`     3 for each, in the tool's axes
 tool point    the tool point itself, known to `tool_point_sigma`     3, in the tool's axes
 spheres       surfaces of spheres were touched                       3 for each, its centre, known only from data
-datums        rows measured against planes, lines, sockets,          3 to 6 for each, its placement, known only from data
+datums        rows measured against planes, lines, sockets,          3 to 6 for each, its placement, from the data only
               cameras of unknown placement
 drift         rows have times                                        a motion of the base and of each drive's zero, [m]
                                                                      and [rad] from the first row to the last
