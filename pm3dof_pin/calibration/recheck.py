@@ -36,6 +36,7 @@ from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.measuring.nuisances import Nuisances, datum_motions
+from pm3dof_pin.measuring.wrenches import is_wrench
 from pm3dof_pin.typing import Array
 
 Verdict = Literal["unchanged", "re-zero", "recalibrate"]
@@ -122,7 +123,15 @@ def recheck(calibration: Compensation | Path | str, measurements: Measurements, 
     known = calibration if isinstance(calibration, Compensation) else read_compensation(calibration)
     if known.values is None or known.known_covariance is None:
         raise InvalidValueError("calibration", problem="has no parameters", expected="one of a method with lm")
-    conditions = known.with_usual_conditions(measurements.conditions) if measurements.conditions else {}
+    # temperatures and loads that the calibration does not depend on are no reason to refuse the rows
+    learned = () if known.learned is None else known.learned.inputs.conditions
+    conditions = known.with_usual_conditions(
+        {
+            name: values
+            for name, values in measurements.conditions.items()
+            if name in learned or (known.bears_wrenches and is_wrench(name))
+        }
+    )
     machine = known.poses(known.errors.robot.forward(measurements.commands), conditions)
     seen = measurements.seen
 

@@ -43,6 +43,13 @@ def test_an_unchanged_machine_is_called_so(case: Case) -> None:
     assert sum(found.probabilities.values()) == pytest.approx(1.0)
 
 
+def test_a_temperature_that_was_not_learned_changes_nothing(case: Case) -> None:
+    machine, calibration, commands, generator = case
+    seen = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+    warm = replace(seen, conditions={"temperature_screws_K": np.linspace(0.0, 5.0, len(seen))})
+    assert recheck(calibration.compensation, warm).as_data() == recheck(calibration.compensation, seen).as_data()
+
+
 def test_moved_zeros_are_found(case: Case) -> None:
     """Within 4 of their standard deviations; every drive runs that much farther than its counter says."""
     machine, calibration, commands, generator = case
