@@ -22,7 +22,7 @@ ELSEWHERE = {"compatibility_table", "gallery", "generate_description"}
 IN_FULL = ("figure_8_1", "figure_8_4")
 """Those rendered at full resolution; the others are rendered more coarsely."""
 
-VECTORS = ("pdf", "png", "svg")
+VECTORS = ("dark.png", "pdf", "png", "svg")
 RUNS: dict[str, tuple[dict[str, Any], list[str]]] = {
     "figure_8_1": ({}, [f"figure_8_1.{kind}" for kind in VECTORS]),
     "figure_8_2": ({"sections": 13}, ["figure_8_2.png", "figure_8_2_boundary.csv"]),
