@@ -40,7 +40,7 @@ from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 _FRAME_POINT = re.compile(rf"(?P<frame>.+):(?P<component>{'|'.join(TOOL_COMPONENTS)})")
 
 _POINTS_PER_MODE = 241
-_DAMPINGS = 30.0  # from a natural frequency, within which it is looked at closely
+_DAMPINGS = 30.0  # half-width of the finely sampled band about a natural frequency, in dampings
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, TypeAlias
 
-from pm3dof_pin.programs.printing import literal, value_lines
+from pm3dof_pin.programs.printing import EXPRESSIONS, literal, value_lines
 from pm3dof_pin.programs.program import Program
 
 Library: TypeAlias = Literal["numpy", "jax", "torch", "casadi"]
@@ -44,21 +44,9 @@ _and, _or, _not = casadi.logic_and, casadi.logic_or, casadi.logic_not
 }
 """Lines before printed programs."""
 
-_EXPRESSIONS = {
-    "negative": "-{0}",
-    "add": "{0} + {1}",
-    "subtract": "{0} - {1}",
-    "multiply": "{0} * {1}",
-    "divide": "{0} / {1}",
-    "sqrt": "sqrt({0})",
-    "sin": "sin({0})",
-    "cos": "cos({0})",
-    "atan2": "atan2({0}, {1})",
-    "absolute": "fabs({0})",
-    "floor": "floor({0})",
+_EXPRESSIONS = EXPRESSIONS | {
     "minimum": "where(_or({0} < {1}, {0} != {0}), {0}, {1})",
     "maximum": "where(_or({1} < {0}, {0} != {0}), {0}, {1})",
-    "less": "{0} < {1}",
     "and": "_and({0}, {1})",
     "or": "_or({0}, {1})",
     "not": "_not({0})",
