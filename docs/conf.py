@@ -15,9 +15,6 @@ author = "The pm3dof-pin authors"
 copyright = f"2026, {author}"
 release = version = pm3dof_pin.__version__
 
-# an attribute of two classes in one room may have the same name
-suppress_warnings = ["ref.python"]
-
 extensions = [
     "myst_parser",
     "sphinx_design",

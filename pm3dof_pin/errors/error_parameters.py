@@ -109,8 +109,9 @@ class GeometricErrors:
             as it warms up, shape=(number of actuated joints,) [m, rad]; 0 by default.
         file: the error file that declares them, if any.
 
+    The arguments are attributes too.
+
     Attributes:
-        robot, fixed_bearings, file: see the arguments.
         parameters: the parameters, in the order of p; their `names`.
         components: the errors of single places that they consist of: these errors themselves if none are tied.
         combinations: values of the components by one unit of each parameter, shape=(components, parameters).
