@@ -30,7 +30,7 @@ class CandidateInformation:
     seen_tip: Array | None  #: A M^-1 Q M^-1 A^T, shape=(n, r, r)
 
     @classmethod
-    def of(cls, rows: Array, information: Array, tip: Array | None) -> CandidateInformation:
+    def from_rows(cls, rows: Array, information: Array, tip: Array | None) -> CandidateInformation:
         """Compute it anew."""
         root = np.linalg.inv(np.linalg.cholesky(information)).T
         along = (rows.reshape(-1, rows.shape[2]) @ root).reshape(rows.shape)
@@ -45,7 +45,7 @@ class CandidateInformation:
         information = self.information + sign * (block.T @ block)
         inner = np.eye(len(block)) + sign * self.seen[index]
         if np.linalg.eigvalsh(inner)[0] < _NEARLY_ALONE:
-            return CandidateInformation.of(self.rows, information, self.tip)
+            return CandidateInformation.from_rows(self.rows, information, self.tip)
         along, middle = self.inverse @ block.T, -sign * np.linalg.inv(inner)
         flat = self.rows.reshape(-1, self.rows.shape[2])
 

@@ -354,7 +354,7 @@ class PlanningProblem:
         near = np.array([self._near(int(index)) for index in chosen])
         for _ in range(_MAX_PASSES):
             swapped = False
-            state = CandidateInformation.of(self._rows, self.information(chosen), criterion.tip)
+            state = CandidateInformation.from_rows(self._rows, self.information(chosen), criterion.tip)
             for place in range(len(chosen)):
                 without = state.changed(chosen[place], -1.0)
                 gains = criterion.gains(without)

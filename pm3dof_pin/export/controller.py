@@ -47,7 +47,7 @@ class CorrectionTable:
     error: float  #: greatest error of the interpolation at random commands [m, rad]
 
     @classmethod
-    def of(cls, robot: Robot, deviations: Deviations) -> CorrectionTable:
+    def from_deviations(cls, robot: Robot, deviations: Deviations) -> CorrectionTable:
         """Tabulate deviations over the ranges of the drives; InvalidValueError for more than three drives."""
         count = len(robot.commands)
         if count not in _NODES:
@@ -195,7 +195,7 @@ class Controller:
             modes.append(regularity_and_mode(margin)[1][0])
         branch = self.programs["branch"].evaluate(q[None], numbers)[0, 0] if robot.has_loops else 0.0
         model = Model(np.concatenate([numbers, q, modes, [branch]]), np.empty((0, 0)))
-        table = None if deviations is None else CorrectionTable.of(robot, deviations)
+        table = None if deviations is None else CorrectionTable.from_deviations(robot, deviations)
         return replace(model, golden=self._golden(robot, model), correction=table)
 
     def _golden(self, robot: Robot, model: Model) -> Matrix:

@@ -75,7 +75,7 @@ class Move:
     blend: float | None = None  #: tolerance of the corner at its end: 0 for G61, P of G64 [m]; None if not given
 
 
-class Program(NamedTuple):
+class GCodeProgram(NamedTuple):
     """The moves of a program, and the letters of axes that it uses."""
 
     moves: list[Move]
@@ -98,7 +98,9 @@ def in_machine(placement: Matrix, values: Array, *, turns: bool) -> Array:
     return found
 
 
-def read_program(path: Path | str, text: str, systems: Systems, home: Vector, *, has_tool: bool = False) -> Program:
+def read_program(
+    path: Path | str, text: str, systems: Systems, home: Vector, *, has_tool: bool = False
+) -> GCodeProgram:
     """Interpret a program.
 
     Args:
@@ -119,7 +121,7 @@ def read_program(path: Path | str, text: str, systems: Systems, home: Vector, *,
     for line, words in lines:
         if not interpreter.execute(line, words):
             break
-    return Program(interpreter.moves, letters)
+    return GCodeProgram(interpreter.moves, letters)
 
 
 def _words(path: Path, text: str) -> list[tuple[int, list[tuple[str, float]]]]:

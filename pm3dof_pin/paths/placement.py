@@ -45,7 +45,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class WorkpiecePlacement:
     """The placement that a search has found."""
 
     #: placements of the path's coordinate systems in the base, by number, to read the program again with
@@ -173,7 +173,7 @@ def place_path(
     *,
     turn: bool = False,
     seed: int = 0,
-) -> Placement:
+) -> WorkpiecePlacement:
     r"""Search the placement of the workpiece at which a path is best.
 
     The workpiece is moved in the directions in which the robot moves its tool, within the ranges of its coordinates.
@@ -241,4 +241,4 @@ def place_path(
         number: motion @ path.placements.get(number, np.eye(4))
         for number in {*path.placements, *np.unique(path.system).tolist()} - {MACHINE}
     }
-    return Placement(placements, goal, unit, motion, cost, before if before < _BEYOND else float("nan"), names)
+    return WorkpiecePlacement(placements, goal, unit, motion, cost, before if before < _BEYOND else float("nan"), names)

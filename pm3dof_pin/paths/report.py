@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from pm3dof_pin.figures.html_page import html_image, html_page, html_table
 from pm3dof_pin.figures.style import COLORMAP, INK, TWO_COLUMNS, house_style, new_figure, round_ticks, spring_colors
 from pm3dof_pin.paths.evaluation import Columns, PathEvaluation
-from pm3dof_pin.paths.placement import Placement, PlacementSearch
+from pm3dof_pin.paths.placement import PlacementSearch, WorkpiecePlacement
 from pm3dof_pin.paths.summary import DRIVE_HEADER, WORST_HEADER, drive_rows, worst_rows
 
 _BROKEN, _PATH, _RAPID = "#D55E00", "#0072B2", "#999999"  # Okabe and Ito
@@ -20,7 +20,7 @@ _GOALS = {"stiffest": "deflection", "accurate": "expected error", "fastest": "ti
 _SHOWN = {"m": (1e6, "µm"), "m/N": (1e6, "µm/N"), "s/m": (1.0, "s/m")}
 
 
-def path_report(found: PathEvaluation, name: str, placement: Placement | None = None) -> str:
+def path_report(found: PathEvaluation, name: str, placement: WorkpiecePlacement | None = None) -> str:
     """Return the report of a path with this name, and of its placement if searched; equal paths give equal bytes."""
     summary, robot = found.summary, escape(found.robot.name)
     within = f"All {summary['points']} points are within limits and on home's branch."
@@ -51,13 +51,13 @@ def path_report(found: PathEvaluation, name: str, placement: Placement | None = 
     return html_page(f"{escape(name)} on {robot}", parts)
 
 
-def _cost(placement: Placement) -> str:
+def _cost(placement: WorkpiecePlacement) -> str:
     (factor, unit), words = _SHOWN[placement.unit], _GOALS[placement.goal]
     before = "beyond a limit" if np.isnan(placement.cost_before) else f"{factor * placement.cost_before:.4g} {unit}"
     return f"{words} {factor * placement.cost:.4g} {unit}, before {before}"
 
 
-def placement_picture(found: PathEvaluation, placement: Placement) -> Figure:
+def placement_picture(found: PathEvaluation, placement: WorkpiecePlacement) -> Figure:
     """Draw the map of what was searched around the path, at its mean height and orientation, and the path on it.
 
     Over one variable alone, a curve.

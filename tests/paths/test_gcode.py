@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.exceptions import GCodeError
-from pm3dof_pin.paths.gcode import Program, read_program
+from pm3dof_pin.paths.gcode import GCodeProgram, read_program
 from pm3dof_pin.paths.tool_path import from_moves
 
 RS274 = shutil.which("rs274")
@@ -49,7 +49,7 @@ M2
 """
 
 
-def interpreted(text: str, *, has_tool: bool = False) -> Program:
+def interpreted(text: str, *, has_tool: bool = False) -> GCodeProgram:
     systems = {55: np.eye(4)}
     return read_program("part.ngc", text, systems, np.zeros(6), has_tool=has_tool)
 
