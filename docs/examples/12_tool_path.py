@@ -1,7 +1,7 @@
 """A part judged before it is cut: a pocket and a freeform strip, from G-code to commands that allow for the force.
 
 The program is written here as a CAM system would write it. The strip is wavy, and the tool stays normal to it. Then the
-workpiece is placed where the machine is stiffest, the whole path is judged, and LinuxCNC could run the same file.
+workpiece is placed where the machine is stiffest, and the whole path is judged.
 """
 
 from pathlib import Path
