@@ -328,7 +328,9 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     if robot.tool_frame is None:
         remarks.append("no tool frame: name it with --tool-frame NAME, or as tool_frame in a closures file")
     if not robot.actuated_joints:
-        remarks.append("no actuated joints: name them in a closures file (name_mot), or as actuators in the MJCF")
+        remarks.append(
+            "no actuated joints: name them with --drives JOINT,.., as name_mot in a closures file, or as actuators"
+        )
     elif not result["limits_given"]:
         remarks.append("no limits are given for the actuated joints: they are treated as unlimited")
     if free := result["free_degrees_of_freedom"]:

@@ -122,6 +122,12 @@ _ToolFrame = Annotated[
 _PackagePath = Annotated[
     list[Path] | None, typer.Option(metavar="DIR", help="Folder with ROS packages; may be repeated.")
 ]
+_Drives = Annotated[
+    str | None,
+    typer.Option(
+        metavar="JOINT,..", help="The driven joints, in the order of the commands; by default the description's."
+    ),
+]
 _DriveStiffness = Annotated[
     list[str] | None,
     typer.Option(
@@ -187,6 +193,7 @@ class RobotOptions:
     robot: _RobotName = None
     tool_frame: _ToolFrame = None
     package_path: _PackagePath = None
+    drives: _Drives = None
     drive_stiffness: _DriveStiffness = None
     hold_base: _HoldBase = None
     xacro_arg: _XacroArg = None
@@ -224,6 +231,7 @@ class RobotOptions:
             "package_paths": self.package_path or (),
             "xacro_args": dict(_xacro_argument(text) for text in self.xacro_arg or ()),
             "lenient": self.lenient,
+            "drives": None if self.drives is None else [name.strip() for name in self.drives.split(",")],
             "drive_stiffness": numbers_by_name("--drive-stiffness", self.drive_stiffness),
             "hold_base": self.hold_base,
         }

@@ -23,6 +23,7 @@ from pm3dof_pin.exceptions import (
     ConvergenceError,
     DescriptionError,
     InvalidValueError,
+    JointNotFoundError,
     PM3DofError,
     ProgramError,
     ShapeError,
@@ -62,6 +63,7 @@ class LoadOptions(TypedDict, total=False):
     package_paths: Iterable[str | Path]
     xacro_args: Mapping[str, str] | None
     lenient: bool
+    drives: Iterable[str] | None
     drive_stiffness: float | Mapping[str, float] | None
     hold_base: bool | None
     characteristic_length: float | None
@@ -306,6 +308,7 @@ class Robot(PlacedMechanism):
         xacro_args: Mapping[str, str] | None = None,
         lenient: bool = False,
         closures: Iterable[Any] = (),
+        drives: Iterable[str] | None = None,
         drive_stiffness: float | Mapping[str, float] | None = None,
         hold_base: bool | None = None,
         characteristic_length: float | None = None,
@@ -330,6 +333,7 @@ class Robot(PlacedMechanism):
             lenient: whether elements that could carry a loop, a coupling or a drive, and are not understood, are only
                 listed in `robot.description.unread` instead of being refused.
             closures: the loops of a `pinocchio.Model`: closures, or constraint models of Pinocchio.
+            drives: the actuated joints, in the order of the commands, instead of the described ones.
             drive_stiffness: see :meth:`with_drive_stiffness` [N/m, N m/rad].
             hold_base: whether a floating base is fixed where the configuration `home` has it, so that the tool's
                 stiffness is that against the base; by default with `drive_stiffness` only. Not for a `pinocchio.Model`.
@@ -342,8 +346,8 @@ class Robot(PlacedMechanism):
             UnknownRobotError: there is no such robot.
             DescriptionError: a file is missing, unreadable or malformed.
             FrameNotFoundError: the tool or a closure refers to a frame that the tree does not have.
-            JointNotFoundError: the closures file names a joint that the tree does not have.
-            InvalidValueError: the source is none of these.
+            JointNotFoundError: the closures file names a joint that the tree does not have, or a drive is none.
+            InvalidValueError: the source is none of these, or a drive is named twice.
         """
         described = read_source(
             source,
@@ -356,6 +360,8 @@ class Robot(PlacedMechanism):
         )
         if closure_tolerance is not None:
             described["closure_tolerance"] = closure_tolerance
+        if drives is not None:
+            described |= _driven_by(drives, described)
         robot = cls(**described, characteristic_length=characteristic_length, engine=engine, threads=threads)
         return robot if drive_stiffness is None else robot.with_drive_stiffness(drive_stiffness)
 
@@ -381,8 +387,8 @@ class Robot(PlacedMechanism):
         """
         if not self.actuated_joints:
             if not isinstance(stiffness, Mapping):
-                advice = "there are none to give a drive stiffness to: name them, --drive-stiffness JOINT=K,.. "
-                advice += "(drive_stiffness={...}), or as name_mot in a closures file"
+                advice = "there are none to give a drive stiffness to: name them, --drives JOINT,.. (drives=[...]), "
+                advice += "or as name_mot in a closures file"
                 raise DescriptionError(self.source, "actuated joints", advice)
             return self.replace(actuated_joints=tuple(stiffness)).with_drive_stiffness(stiffness)
         given = stiffness if isinstance(stiffness, Mapping) else dict.fromkeys(self.actuated_joints, stiffness)
@@ -743,6 +749,19 @@ def _require_placements(matrices: Array) -> None:
     defect = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(initial=0.0)
     if not defect <= 1e-9 or (np.linalg.det(rotation) < 0.0).any() or (matrices[..., 3, :] != [0, 0, 0, 1]).any():
         raise InvalidValueError("placement", matrices, "a rotation matrix, a position and the last row 0 0 0 1")
+
+
+def _driven_by(drives: Iterable[str], described: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a mechanism with other actuated joints; those that stay so keep their commands."""
+    model, names = described["model"], [drives] if isinstance(drives, str) else list(drives)
+    known = list(model.names)[1:]
+    for name in names:
+        if name not in known:
+            raise JointNotFoundError(name, "drives", known)
+        if names.count(name) > 1:
+            raise InvalidValueError("drives", names, "each joint once")
+    commands = [command for command in described.get("commands", ()) if command.joint in names]
+    return {"actuated_joints": names, "commands": commands}
 
 
 def _kept(values: NDArray[Any]) -> NDArray[Any]:

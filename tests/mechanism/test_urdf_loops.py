@@ -12,7 +12,7 @@ import pytest
 from pm3dof_pin.description.readers.urdf import read_urdf
 from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.elastic.batch import compliance
-from pm3dof_pin.exceptions import DescriptionError, JointNotFoundError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.mobility import instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
@@ -78,7 +78,7 @@ def test_a_loop_without_drives_has_those_whose_stiffness_is_given(write_robot: W
     for value in ("true", "false", "False"):
         text = text.replace(f'independent="{value}"', "")
     path = write_robot(text, "{}\n")
-    with pytest.raises(DescriptionError, match="--drive-stiffness JOINT=K"):
+    with pytest.raises(DescriptionError, match="--drives JOINT"):
         Robot.load(path, tool_frame="coupler", drive_stiffness=1e5)
     with pytest.raises(JointNotFoundError, match="no joint 'j9'"):
         Robot.load(path, tool_frame="coupler", drive_stiffness={"j9": 1e5})
@@ -86,6 +86,22 @@ def test_a_loop_without_drives_has_those_whose_stiffness_is_given(write_robot: W
     expected = np.zeros((6, 6))
     expected[0, 0] = 0.3**2 / 1e5
     np.testing.assert_allclose(compliance(robot, robot.home), expected, rtol=1e-9, atol=1e-18)
+    named = Robot.load(path, tool_frame="coupler", drives=["j1"], drive_stiffness=1e5)
+    np.testing.assert_allclose(compliance(named, named.home), expected, rtol=1e-9, atol=1e-18)
+
+
+def test_drives_named_when_loading(write_robot: Writer) -> None:
+    """A parallelogram: at a quarter of a radian of either crank, both are there."""
+    path = write_robot(FOUR_BAR.format(LOOPS["URDF+"]), "{}\n")
+    robot = Robot.load(path, tool_frame="coupler", drives=["j3"])
+    assert robot.actuated_joints == ("j3",)
+    assert [command.joint for command in robot.commands] == ["j3"]
+    poses = robot.forward([0.25])
+    np.testing.assert_allclose(np.abs(poses.q), 0.25, atol=1e-9)
+    with pytest.raises(JointNotFoundError, match="drives: no joint 'j9'"):
+        Robot.load(path, drives=["j9"])
+    with pytest.raises(InvalidValueError, match="each joint once"):
+        Robot.load(path, drives=["j1", "j1"])
 
 
 def test_mobility_needs_no_tool(write_robot: Writer) -> None:
