@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.elastic.bow import Bow
+from pm3dof_pin.elastic.contact_laws import SEAT, ContactLaw
 from pm3dof_pin.elastic.springs import (
     AxialSpring,
     CantileverSpring,
+    ClosureSpring,
     JointLength,
     JointSpring,
     Spring,
@@ -41,6 +43,7 @@ class SpringBlock:
         indices: entries of v of its joints, in the order of its matrix, shape=(n,).
         exponents: powers of the length, shape=(n, n); zero if the length is constant.
         bows: the shortening due to bending of each element; none if it is axially rigid or not a beam.
+        law: of a contact, alike over all its joints; None if it is linear.
     """
 
     name: str
@@ -49,6 +52,7 @@ class SpringBlock:
     exponents: NDArray[np.int64]
     length: JointLength | None
     bows: tuple[Bow, ...] = ()
+    law: ContactLaw | None = None
 
     def stiffness(self, length: float) -> Matrix:
         """Return the stiffness at a length [m], shape=(n, n) [N/m, N, N m/rad]."""
@@ -203,8 +207,10 @@ class ElasticModel:
             stiffness[np.ix_(block.indices, block.indices)] = block.stiffness(self.length(block, where))
         return stiffness
 
-    def energy_derivatives(self, configuration: Configuration, deflections: Vector) -> tuple[Vector, Matrix]:
-        """Return the first and second derivatives of the springs' energy U = d^T K_q(q) d / 2.
+    def energy_derivatives(
+        self, configuration: Configuration, deflections: Vector, *, seat: float = SEAT
+    ) -> tuple[Vector, Matrix]:
+        """Return the first and second derivatives of the springs' energy U = d^T K_q(q) d / 2, or by their law.
 
         An axially elastic beam also shortens as it bends, see :class:`~pm3dof_pin.elastic.bow.Bow`. A joint that varies
         a length is loaded too: with d held, U depends on q through K_q.
@@ -212,6 +218,7 @@ class ElasticModel:
         Args:
             configuration: a configuration of :attr:`mechanism`.
             deflections: d, the deflection of each velocity's joint from rest, shape=(nv,).
+            seat: stiffness of contacts within their play, relative to that of the closed contact.
 
         Returns:
             dU/dq, shape=(nv,), and the matrix of second derivatives, shape=(nv, nv).
@@ -220,6 +227,11 @@ class ElasticModel:
         gradient, hessian = np.zeros(nv), np.zeros((nv, nv))
         for block in self.blocks:
             length, d = self.length(block, configuration), deflections[block.indices]
+            if block.law is not None:
+                force, tangent = block.law.derivatives(float(block.coefficients[0, 0]), d, seat)
+                gradient[block.indices] += force
+                hessian[np.ix_(block.indices, block.indices)] += tangent
+                continue
             stiffness = block.stiffness(length)
             gradient[block.indices] += stiffness @ d
             hessian[np.ix_(block.indices, block.indices)] += stiffness
@@ -312,7 +324,8 @@ def _block(mechanism: Robot, spring: Spring, joints: tuple[str, ...] | None) -> 
     else:
         coefficients, exponents = np.array(spring.matrix), np.zeros(spring.matrix.shape, dtype=np.int64)
     indices = mechanism.velocity_indices(joints)
-    return SpringBlock(spring.name, indices, frozen(coefficients), frozen(exponents), length, bows)
+    law = spring.law if isinstance(spring, (JointSpring, AxialSpring, ClosureSpring)) else None
+    return SpringBlock(spring.name, indices, frozen(coefficients), frozen(exponents), length, bows, law)
 
 
 def _bows(spring: CantileverSpring) -> tuple[Bow, ...]:

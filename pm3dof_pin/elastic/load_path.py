@@ -21,6 +21,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.elastic.contact_laws import SEAT
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
@@ -47,6 +48,7 @@ _BRACKETINGS = 60
 _MAX_FALLS = 500
 _LONGEST_FALL = 0.1  # rad, or characteristic lengths
 _HALVINGS = 20
+_SOFTENINGS = 13  # stages from a filled play to an open one
 _MIN_DAMPING = 1e-3  # relative to the springs' stiffness
 _AT_REST = 1e-3  # relative to the loads; a smaller imbalance means that an unstable equilibrium is near
 _PUSH = 1e-2  # relative to the loads
@@ -148,6 +150,8 @@ class LoadPath:
             DeflectionRangeError: the path from rest leaves the springs' range.
             ConvergenceError: no stable equilibrium was found.
         """
+        if any(block.law is not None and block.law.play is not None for block in self._model.blocks):
+            return self._close_play()
         rest = LoadedState(self._model, self.rest, self._applied(0.0), self.rest)
         pushed = rest.motions.unstrained.T @ self.growing.forces(self.rest)
         if np.abs(pushed).max(initial=0.0) > SOLVED * self.growing.size:
@@ -161,6 +165,19 @@ class LoadPath:
             _log.warning("the mechanism jumps to a stable equilibrium elsewhere: %s", error)
             return found
         return point.state, point.steps
+
+    def _close_play(self) -> tuple[LoadedState, int]:
+        """Find the equilibrium of contacts with play: at first filled with material, which becomes softer and softer.
+
+        Raises:
+            ConvergenceError: Newton's method failed on the way.
+        """
+        state, steps = LoadedState(self._model, self.rest, self._applied(1.0), self.rest, seat=1.0).settled()
+        for seat in np.geomspace(1.0, SEAT, _SOFTENINGS)[1:]:
+            near, loads = state.deflections, self._applied(1.0)
+            softer = LoadedState(self._model, self.rest, loads, state.configuration, near, float(seat))
+            state, steps = softer.settled()
+        return state, steps
 
     def _let_go(self, state: LoadedState) -> tuple[LoadedState, int] | None:
         """Follow the damped motion without inertia from a state under its loads; None if it does not settle.

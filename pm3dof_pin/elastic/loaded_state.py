@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
+from pm3dof_pin.elastic.contact_laws import SEAT
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loads import AppliedLoads
 from pm3dof_pin.elastic.motions import elastic_motions
@@ -38,6 +39,7 @@ class LoadedState:
         configuration: an assembled configuration of `model.mechanism`.
         near: deflections nearest to which those of continuous joints are chosen, shape=(nv,), to count whole turns; by
             default those within half a turn.
+        seat: stiffness of contacts within their play, relative to that of the closed contact.
 
     Attributes:
         motions: the possible motions of the mechanism.
@@ -57,9 +59,10 @@ class LoadedState:
         loads: AppliedLoads,
         configuration: Configuration,
         near: Vector | None = None,
+        seat: float = SEAT,
     ) -> None:
         self.model, self.rest, self.configuration = model, rest, configuration
-        self._loads = loads
+        self._loads, self._seat = loads, seat
         self.motions = elastic_motions(model, configuration)
         self.deflections: Vector = pin.difference(
             model.mechanism.model, np.array(rest.q), np.array(configuration.q)
@@ -68,7 +71,7 @@ class LoadedState:
             turning = _continuous(model.mechanism.model)
             turns = np.round((near[turning] - self.deflections[turning]) / (2.0 * np.pi))
             self.deflections[turning] += 2.0 * np.pi * turns
-        gradient, self._springs_hessian = model.energy_derivatives(configuration, self.deflections)
+        gradient, self._springs_hessian = model.energy_derivatives(configuration, self.deflections, seat=seat)
         forces = loads.forces(configuration)
         self.closure_forces: Vector = self.motions.closing.T @ (gradient - forces)
         self.unbalanced: Vector = gradient - forces - configuration.constraint_jacobian.T @ self.closure_forces
@@ -187,7 +190,7 @@ class LoadedState:
             for _ in range(_CLOSING_ROUNDS):
                 configuration = _closed(configuration, motions.closing)
                 if configuration.closure_residual <= tolerance:
-                    return LoadedState(self.model, self.rest, loads or self._loads, configuration, near)
+                    return LoadedState(self.model, self.rest, loads or self._loads, configuration, near, self._seat)
                 motions = elastic_motions(self.model, configuration)
         except InvalidValueError:  # loops far from closed, or a spring of nonpositive length
             return None

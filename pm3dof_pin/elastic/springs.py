@@ -12,6 +12,10 @@ An entry is a mapping with a `name`, a `type` and the keys of that type:
 - closure: an elastic loop closure; `closure`, its index in the list of closures, from 0; `matrix`, with a row for each
   component that the closure holds, 3 x 3 for type 3d, 6 x 6 for 6d.
 
+An axial spring, one at a prismatic joint and an isotropic closure spring of type 3d may have a `law`, by which they are
+contacts (:mod:`pm3dof_pin.elastic.contact_laws`): `preload` [N], `play` [m] or `doubles_at` [m], `exponent` and `load`.
+Or `contact` names one of the catalogue (:mod:`pm3dof_pin.elastic.contact_catalogue`), which has stiffness and law.
+
 Any of them may declare a `loss_factor`, for vibration, and a joint's spring a viscous `damping` (N s/m, N m s/rad).
 
 `at` is a joint or frame; it and everything attached to it move when the spring deflects. Axes and matrices are in the
@@ -31,7 +35,9 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.physical_bounds import STIFFNESS
-from pm3dof_pin.description.schema import Length, Name, PositiveLength, Schema, Stiffness, checked
+from pm3dof_pin.description.schema import Length, Name, Positive, PositiveLength, Schema, Stiffness, checked
+from pm3dof_pin.elastic.contact_catalogue import contacts
+from pm3dof_pin.elastic.contact_laws import ContactLaw
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.tolerances import ROUNDING, SOLVED
 from pm3dof_pin.typing import Matrix
@@ -52,11 +58,14 @@ class JointSpring:
     unit: JointSpringUnit  #: "N/m" for a prismatic joint, "N m/rad" for a revolute one
     loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
     damping: float | None = None  #: viscous damper beside it [N s/m or N m s/rad]; None if unknown
+    law: ContactLaw | None = None  #: of a contact, at a prismatic joint; None for a linear spring
 
     def __post_init__(self) -> None:
         """Check the numbers."""
         _require_positive("stiffness", self.stiffness)
         _require_damping(self.loss_factor, self.damping)
+        if self.law is not None and self.unit != "N/m":
+            raise InvalidValueError("law", problem="is of a revolute joint", expected="a prismatic joint")
 
 
 @dataclass(frozen=True)
@@ -68,6 +77,7 @@ class AxialSpring:
     axis: tuple[float, float, float]  #: direction in the axes of `at`, normalised
     stiffness: float  #: k [N/m]
     loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
+    law: ContactLaw | None = None  #: of a contact; None for a linear spring
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -158,11 +168,16 @@ class ClosureSpring:
     #: closure, (6, 6) for a 6d one [N/m, N, N m/rad]; read-only
     matrix: Matrix
     loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
+    law: ContactLaw | None = None  #: of a contact that is alike in all directions of a 3d closure; None if linear
 
     def __post_init__(self) -> None:
         """Check the numbers."""
         _require_damping(self.loss_factor)
         object.__setattr__(self, "matrix", _positive_definite("matrix", self.matrix, (1, 2, 3, 4, 5, 6)))
+        if self.law is not None and not np.array_equal(self.matrix, self.matrix[0, 0] * np.eye(3)):
+            raise InvalidValueError(
+                "law", problem="needs a stiffness alike in x, y and z", expected="k times the 3 x 3 identity"
+            )
 
 
 Spring: TypeAlias = JointSpring | AxialSpring | CantileverSpring | BeamSpring | ClosureSpring
@@ -181,6 +196,7 @@ class _Joint(_Entry):
     unit: JointSpringUnit
     loss_factor: float | None = None
     damping: float | None = None
+    law: ContactLaw | None = None
 
 
 class _Axial(_Entry):
@@ -191,6 +207,7 @@ class _Axial(_Entry):
     stiffness: Stiffness
     unit: Literal["N/m"]
     loss_factor: float | None = None
+    law: ContactLaw | None = None
 
 
 class _Cantilever(_Entry):
@@ -223,6 +240,7 @@ class _Closure(_Entry):
     closure: Annotated[int, msgspec.Meta(ge=0)]
     matrix: list[list[float]]
     loss_factor: float | None = None
+    law: ContactLaw | None = None
 
 
 SPRING_SCHEMAS: dict[str, type[_Entry]] = {
@@ -254,12 +272,32 @@ def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tu
                 source, f"{element}.type", f"expected one of {', '.join(SPRING_SCHEMAS)}, not {kind}"
             )
         try:
-            form = checked(entry, SPRING_SCHEMAS[kind], source, element)
+            form = checked(_with_contact(entry, source, element), SPRING_SCHEMAS[kind], source, element)
             springs.append(form.makes(**{field.name: getattr(form, field.name) for field in fields(form.makes)}))
         except InvalidValueError as error:
             place = f"{element}.{error.name}"
             raise DescriptionError(source, place, f"is {error.value}, expected {error.expected}") from error
     return tuple(springs)
+
+
+def _with_contact(entry: Mapping[str, Any], source: Path | str, element: str) -> dict[str, Any]:
+    """Return an entry with the stiffness and the law of the contact of the catalogue that it names."""
+    own = dict(entry)
+    if (name := own.pop("contact", None)) is None:
+        return own
+    known = contacts()
+    if not isinstance(name, str) or name not in known:
+        raise DescriptionError(source, f"{element}.contact", f"is {name}, expected one of {', '.join(known)}")
+    if clash := sorted({"law", "stiffness", "matrix"} & set(own)):
+        raise DescriptionError(source, f"{element}.{clash[0]}", "expected none beside a contact of the catalogue")
+    given = {key: own.pop(key) for key in ("preload", "play") if key in own}
+    amounts = checked(given, dict[str, Positive], source, element)
+    stiffness, law = known[name].spring(preload=amounts.get("preload"), play=amounts.get("play"))
+    if own.get("type") == "closure":
+        own["matrix"] = (stiffness * np.eye(3)).tolist()
+    else:
+        own |= {"stiffness": stiffness, "unit": "N/m"}
+    return own | {"law": law}
 
 
 def _require_positive(name: str, value: float) -> None:
