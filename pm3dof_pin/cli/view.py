@@ -40,6 +40,7 @@ from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity
 from pm3dof_pin.viewer.server import is_loopback
 
 _FRAMES_PER_SECOND = 20
+_LOAD = 100.0  # whose deflection is shown first [N, N m]
 _KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 _FOR_EVER = 10_000  # repetitions of a path
 
@@ -135,7 +136,7 @@ def view(
         if forces and along is None:
             _draw_forces(viewer, shown)
         if model is not None:
-            _colour_legs(viewer, model, shares)
+            _draw_load(viewer, model, shares)
         if frames:
             viewer.frames()
         if labels:
@@ -212,12 +213,14 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
         _draw_ellipsoids(viewer, None, "velocity", None)
 
 
-def _colour_legs(viewer: Viewer, model: ElasticModel, shares: ToolComponent | None) -> None:
-    """Colour the legs under a unit load, or prepare the page to do so on request."""
+def _draw_load(viewer: Viewer, model: ElasticModel, shares: ToolComponent | None) -> None:
+    """Draw the deflection under a load, and colour the legs by their share in it, or prepare the page to do so."""
     loads = [shares] if shares is not None else ["z", *TOOL_COMPONENTS]
     for load in loads:
+        wrench = _LOAD * np.eye(6)[TOOL_COMPONENTS.index(load)]
         try:
-            viewer.colour_legs(model, np.eye(6)[TOOL_COMPONENTS.index(load)], visible=shares is not None)
+            viewer.load(model, wrench)
+            viewer.colour_legs(model, wrench, visible=shares is not None)
             return
         except PM3DofError:  # nothing deflects under this load
             if shares is not None:

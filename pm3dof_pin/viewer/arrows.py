@@ -15,6 +15,7 @@ from pm3dof_pin.viewer.objects import Colour
 from pm3dof_pin.viewer.scene import Json, Scene
 
 COLOUR: Colour = (0.78, 0.07, 0.13)
+LOAD_COLOUR: Colour = (0.0, 0.5, 0.35)
 _AXIS_COLOURS: tuple[Colour, Colour, Colour] = ((0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.12, 0.47, 0.71))
 
 _MIN_LENGTH = 1e-6  # a zero length would leave no direction
@@ -45,13 +46,8 @@ class ActuatorAxis:
         return "N m" if self.turns else "N"
 
     def draw(self, scene: Scene, path: str) -> None:
-        """Draw an arrow of length 1 and half width 1 along z at a path, with one head for a force, two for a moment."""
-        parts: dict[str, tuple[Json, float]] = {"shaft": (objects.cylinder(0.35, 0.75), 0.375)}
-        for head in range(1 + self.turns):
-            parts[f"head{head}"] = (objects.cylinder(1.0, 0.28, 0.0), 0.86 - 0.2 * head)
-        for name, (geometry, height) in parts.items():
-            scene.set_object(f"{path}/{name}", objects.mesh(geometry, COLOUR, overlaid=True), casts_shadow=False)
-            scene.set_transform(f"{path}/{name}", objects.transform(translation=[0.0, 0.0, height]) @ objects.Y_TO_Z)
+        """Draw the arrow of :func:`draw_arrow` at a path."""
+        draw_arrow(scene, path, turns=self.turns)
 
     def arrow(self, force: float, *, scale: float, width: float) -> Array:
         """Return the transform that makes the arrow of :meth:`draw` a force [N, N m] on the axis, shape=(4, 4).
@@ -62,6 +58,16 @@ class ActuatorAxis:
         length = max(scale * abs(force), _MIN_LENGTH * width)
         slim = min(width, 0.5 * length)
         return objects.transform(turn * np.array([slim, slim, length]), self.origin)
+
+
+def draw_arrow(scene: Scene, path: str, *, turns: bool, colour: Colour = COLOUR) -> None:
+    """Draw an arrow of length 1 and half width 1 along z at a path, with one head for a force, two for a moment."""
+    parts: dict[str, tuple[Json, float]] = {"shaft": (objects.cylinder(0.35, 0.75), 0.375)}
+    for head in range(1 + turns):
+        parts[f"head{head}"] = (objects.cylinder(1.0, 0.28, 0.0), 0.86 - 0.2 * head)
+    for name, (geometry, height) in parts.items():
+        scene.set_object(f"{path}/{name}", objects.mesh(geometry, colour, overlaid=True), casts_shadow=False)
+        scene.set_transform(f"{path}/{name}", objects.transform(translation=[0.0, 0.0, height]) @ objects.Y_TO_Z)
 
 
 def draw_frame(scene: Scene, path: str, placement: ArrayLike, size: float) -> None:

@@ -132,8 +132,7 @@ class Sliders:
         load: Array,
     ) -> Json | None:
         """Return how the page updates the legs' shares in C, if C is that of the robot's own springs."""
-        own = self._compliance(configuration)
-        if own is None or not np.abs(own - compliance).max() <= _SAME * np.abs(own).max():
+        if not self._is_own(compliance, configuration):
             return None
         return {
             "kind": "shares",
@@ -142,6 +141,19 @@ class Sliders:
             "names": [", ".join(springs) for springs in legs],
             "springs": [self._programs.spring_places(names) for names in legs],
         }
+
+    def live_load(self, configuration: Configuration, compliance: Matrix, load: Array, *, length: float) -> Json | None:
+        """Return how the page updates a load and its deflection, if C is that of the robot's own springs.
+
+        `length` is that of an arrow [m].
+        """
+        if not self._is_own(compliance, configuration):
+            return None
+        return {"kind": "load", "wrench": load.tolist(), "length": length}
+
+    def _is_own(self, compliance: Matrix, configuration: Configuration) -> bool:
+        own = self._compliance(configuration)
+        return own is not None and bool(np.abs(own - compliance).max() <= _SAME * np.abs(own).max())
 
     def _block(
         self, configuration: Configuration, kind: Motion, of: EllipsoidQuantity, others: OtherMotions

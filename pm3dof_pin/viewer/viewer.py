@@ -357,6 +357,62 @@ class Viewer(ShownScene):
         )
         return by_spring
 
+    def load(
+        self, model: ElasticModel, wrench: ArrayLike = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0), *, visible: bool = True
+    ) -> Array:
+        """Draw a load at the tool as arrows, and in the page the tool's body where it takes it, magnified.
+
+        In the page the arrow of the force can be dragged by its tip.
+
+        Args:
+            model: the mechanism with its springs.
+            wrench: the load [f; m] at the tool, world axes, shape=(6,) [N, N m]; a vertical force by default.
+            visible: whether it is shown initially.
+
+        Returns:
+            The deflection [v; w] of the tool in world axes, shape=(6,) [m, rad].
+
+        Raises:
+            InvalidValueError: the elastic model is not one of the mechanism, or the wrench is zero or not finite.
+            PM3DofError: there is no compliance, as for :func:`~pm3dof_pin.elastic.report.cartesian_compliance`.
+        """
+        from pm3dof_pin.elastic.report import cartesian_compliance
+
+        if not self.mechanism.matches(model.rigid):
+            raise InvalidValueError("model", model, f"an elastic model of {self.mechanism}")
+        load = finite_array("wrench", wrench, (6,))
+        if not load.any():
+            raise InvalidValueError("wrench", load, "a load other than zero")
+        compliance = cartesian_compliance(model, self._configuration).compliance
+        deflection: Array = compliance @ load
+        lines, values, sizes = [], [], np.linalg.norm(load.reshape(2, 3), axis=1)
+        for name, part, size, unit in zip(("force", "moment"), load.reshape(2, 3), sizes, ("N", "N m"), strict=True):
+            path = f"/load/{name}"
+            arrows.draw_arrow(self.scene, path, turns=name == "moment", colour=arrows.LOAD_COLOUR)
+            scale = self._unit_length if not size else ellipsoids.round_scale(float(size), self._unit_length)
+            axis = arrows.ActuatorAxis(name, self._point(None), part / size if size else np.eye(3)[2], False)
+            self.scene.set_transform(path, axis.arrow(float(size), scale=scale, width=0.016 * self._radius))
+            if size:
+                lines.append(scale_text(scale, self._unit_length, unit, "arrow"))
+                values.append(numbers_with_unit([size], unit))
+        moved = zip(np.linalg.norm(deflection.reshape(2, 3), axis=1), ("m", "rad"), strict=True)
+        live = None
+        if sliders := self._live_sliders:
+            live = sliders.live_load(self._configuration, compliance, load, length=self._unit_length)
+        self._show(
+            Entry(
+                key="load",
+                title="Deflection under a load",
+                lines=[", ".join(lines), *(["drag the arrow by its tip"] if live else [])],
+                values=f"{', '.join(values)}: {', '.join(numbers_with_unit([size], unit) for size, unit in moved)}",
+                colour=colours.css(arrows.LOAD_COLOUR),
+                nodes=["/load/force", "/load/moment", "/load/ghost"],
+                visible=visible,
+                live=live,
+            )
+        )
+        return deflection
+
     def frames(self, names: Iterable[str] | None = None, length: float | None = None) -> None:
         """Draw frames as three arrows: x red, y green, z blue. They move with their bodies.
 

@@ -73,11 +73,9 @@ hasWebGL && (() => {
   // The load of the shares and of the deflection [N, N m].
   function load(values) {
     wrench = values;
-    live("shares").forEach((entry) => {
-      entry.live.wrench = values;
-      lineOf(entry, "line").textContent = "under the load below";
-      lineOf(entry, "load").querySelectorAll("input").forEach((input, index) => { input.value = values[index]; });
-    });
+    loaded().forEach((entry) => { entry.live.wrench = values; });
+    live("shares").forEach((entry) => { lineOf(entry, "line").textContent = "under the load"; });
+    document.querySelectorAll(".load input").forEach((input, index) => { input.value = values[index]; });
     followAll();
     tell("choice");
   }
@@ -97,7 +95,9 @@ hasWebGL && (() => {
     selects.others.disabled = !isElastic(of);
   }
 
-  // Six fields for the load, in the entry of the shares.
+  const loaded = () => [...live("load"), ...live("shares")];
+
+  // Six fields for the load, in an entry.
   function fields(entry) {
     const row = document.createElement("div");
     row.className = "load";
@@ -114,8 +114,8 @@ hasWebGL && (() => {
 
   function panelChanged() {
     if (pm3dof.robot()) {
-      if (wrench) live("shares").forEach((entry) => { entry.live.wrench = wrench; });
-      live("shares").forEach(fields);
+      if (wrench) loaded().forEach((entry) => { entry.live.wrench = wrench; });
+      loaded().slice(0, 1).forEach(fields);
       const offered = chosen && live("ellipsoid").length && quantities().includes(chosen.of);
       if (offered) choose(chosen.of, chosen.others);
     }
@@ -158,5 +158,5 @@ hasWebGL && (() => {
   form.addEventListener("submit", (event) => event.preventDefault());
   on("panel", panelChanged);
   on("picture", write);
-  Object.assign(pm3dof, { choose, load, project, quantities, choice: () => chosen, wrench: () => wrench });
+  Object.assign(pm3dof, { choose, load, project, roundScale, quantities, choice: () => chosen, wrench: () => wrench });
 })();

@@ -216,7 +216,7 @@ const pm3dof = hasWebGL && (() => {
     box.checked = isShown(entry);
     box.addEventListener("change", () => {
       shown.set(entry.key, box.checked);
-      if (entry.live && pose) follow(entry, complianceOf(pose));
+      if (entry.live && pose) follow(entry);
       applyEntry(entry);
       viewer.set_dirty();
       tell("entries");
@@ -419,16 +419,25 @@ const pm3dof = hasWebGL && (() => {
     return panel.legend.some(({ live }) => live && live.kind !== "forces") ? robot.compliance(found) : null;
   }
 
-  // Note near singular poses: how much more, or less, than at home the tool moves for the same commands.
-  function singular(found) {
+  // Whether a pose is near one at which a motion becomes free with the drives at rest, or is lost however they move; and
+  // how much more, or less, than at home the tool then moves for the same commands. Null elsewhere.
+  function nearSingular(found) {
     const gains = robot.gains(found);
-    if (!gains) return robot.programs.motion ? ["At or next to a singular pose."] : [];
+    if (!gains) return robot.programs.motion ? { kind: "free", ratio: Infinity } : null;
     robot.homeGains ??= robot.gains(robot.home());
-    if (!robot.homeGains) return [];
+    if (!robot.homeGains) return null;
     const [slow, fast] = gains.map((gain, k) => gain / robot.homeGains[k]);
-    if (fast > NEAR_SINGULAR) return [`Near a singular pose: the tool moves ${scientific(fast)} times as far as at home for the same commands.`];
-    if (slow < 1 / NEAR_SINGULAR) return [`Near a singular pose: in one direction commands move the tool ${scientific(1 / slow)} times less than at home.`];
-    return [];
+    if (fast > NEAR_SINGULAR) return { kind: "free", ratio: fast };
+    return slow < 1 / NEAR_SINGULAR ? { kind: "lost", ratio: 1 / slow } : null;
+  }
+
+  function singular(found) {
+    const near = nearSingular(found);
+    if (!near) return [];
+    if (near.ratio === Infinity) return ["At or next to a singular pose; a ghost shows the motion."];
+    const times = scientific(near.ratio);
+    if (near.kind === "free") return [`Near a singular pose: the tool moves ${times} times as far as at home for the same commands; a ghost shows the motion.`];
+    return [`Near a singular pose: in one direction commands move the tool ${times} times less than at home; a ghost shows how.`];
   }
 
   // Same as Viewer._note in pm3dof_pin/viewer/viewer.py.
@@ -444,11 +453,14 @@ const pm3dof = hasWebGL && (() => {
     applyEntry(entry);
   }
 
+  // By kind of the item; other parts of the page add theirs.
+  const followers = { ellipsoid: followEllipsoid, forces: followForces, shares: followShares };
+
   // Update items computed for the previous pose, with C at the tool, or null if there is none.
-  function follow(entry, compliance) {
+  function follow(entry, compliance = complianceOf(pose)) {
     entry.stale = false;
     try {
-      ({ ellipsoid: followEllipsoid, forces: followForces, shares: followShares })[entry.live.kind](entry, compliance);
+      followers[entry.live.kind](entry, compliance);
     } catch (reason) {
       if (typeof reason !== "string") throw reason;
       entry.stale = true;
@@ -556,5 +568,5 @@ const pm3dof = hasWebGL && (() => {
   }
 
   const drawing = { viewer, reset, blend, node, placeNode, pane, turn, bare, element, engineering, scientific, fixed, isShown, setValues, showNote };
-  return { ...drawing, ...state, on, tell, flip, slide, chooseSet, home, showAssemblies, show, setPose, followAll, lineOf, receive, start };
+  return { ...drawing, ...state, on, tell, flip, update: follow, followers, nearSingular, slide, chooseSet, home, showAssemblies, show, setPose, followAll, lineOf, receive, start };
 })();

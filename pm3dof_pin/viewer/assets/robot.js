@@ -413,5 +413,5 @@ const Robot = (() => {
     }
   }
 
-  return Object.assign(Robot, { apply, principal, inverse, product, stretched, turnZTo });
+  return Object.assign(Robot, { apply, eigen, principal, inverse, product, stretched, turnZTo });
 })();
