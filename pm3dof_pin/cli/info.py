@@ -358,20 +358,25 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     return remarks
 
 
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
 def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
     names = {"coordinates": "coordinate", "commands": "command"}
     if result["coordinates"] == result["commands"]:
         names = {"commands": "coordinate and command"}
     kinds = ", ".join(f"{count} {kind}" for kind, count in result["joint_types"].items())
     lines = [
-        f"{result['name']}: {result['joints']} joints ({kinds}), {len(result['actuated_joints'])} of them actuated, "
-        f"{len(result['closures'])} loop closures"
+        f"{result['name']}: {_counted(result['joints'], 'joint')} ({kinds}), "
+        f"{len(result['actuated_joints'])} of them actuated, {_counted(len(result['closures']), 'loop closure')}"
     ]
     if result["mobility"] is None:
         lines.append("mobility unknown: the loops are open at home")
     else:
         of_tool = f" ({result['tool_mobility']} of the tool)" if result["tool_mobility"] is not None else ""
-        lines.append(f"mobility {result['mobility']}{of_tool}, {result['redundant_constraints']} redundant constraints")
+        redundant = _counted(result["redundant_constraints"], "redundant constraint")
+        lines.append(f"mobility {result['mobility']}{of_tool}, {redundant}")
     if result["mobility_at_home"] != result["mobility"]:
         lines.append(f"mobility {result['mobility_at_home']} at home, a singular pose: the counts are those near it")
         if result["rank_gap"] is not None and result["rank_gap"] < RANK_GAP:
@@ -387,7 +392,7 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
     lines += [
         f"closures: {closures or 'none'}, residual at home {result['closure_residual']:.1e}{_imprecision(robot)}",
         *([f"couplings: {couplings}"] if couplings else []),
-        f"moving mass {result['moving_mass_kg']:.4f} kg, {result['springs']} springs",
+        f"moving mass {result['moving_mass_kg']:.4f} kg, {_counted(result['springs'], 'spring')}",
         "many poses: compiled programs"
         if result["engine_reason"] is None
         else f"many poses: Pinocchio, one by one; there is no compiled program: {result['engine_reason']}",

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.description.coordinates import Coordinate, shown_in
 from pm3dof_pin.exceptions import ConvergenceError, PM3DofError
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.branches import Branches, branches_of, start_of
@@ -91,7 +91,7 @@ class Reference:
         if branches is not None and np.isfinite(beyond).all():
             kind = branches.kind(branches.number(beyond) ^ branches.number(start))
         values = _read(robot, coordinates, walk.last)
-        pose = ", ".join(f"{c.name} = {v:.4g} {c.unit}" for c, v in zip(coordinates, values, strict=True))
+        pose = ", ".join(_in_words(c, v) for c, v in zip(coordinates, values, strict=True))
         return (
             f"it lies beyond a {kind} singularity, met near {pose}, on another branch; a configuration 'home' of the "
             "description on that branch, or a guess there, makes it reachable"
@@ -123,6 +123,11 @@ class Reference:
                         waiting.append((other, q))
         values = np.array([grid.values[index] for index in found]).reshape(len(found), len(coordinates))
         return values, np.array(list(found.values())).reshape(len(found), robot.model.nq)
+
+
+def _in_words(coordinate: Coordinate, value: float) -> str:
+    factor, unit = shown_in(coordinate.unit)
+    return f"{coordinate.name} = {round(factor * value, 4) + 0.0:.4g} {unit}"  # no minus sign on zero
 
 
 def _read(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], q: Vector) -> Vector:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pm3dof_pin.programs import llvm, llvm_ir
+from pm3dof_pin.programs import llvm, llvm_line
 from pm3dof_pin.programs.c import c99
 from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, floor, less, maximum, minimum, select, sin, sqrt
 from pm3dof_pin.programs.javascript import javascript
@@ -124,7 +124,7 @@ def test_stages_compute_the_same_bits(many_programs, monkeypatch):
     """Values of all kinds outlive a stage of three operations."""
     inputs, parameters = numbers(8, 25)
     whole = [llvm.compile(program, optimized=False)(inputs, parameters) for program in many_programs]
-    monkeypatch.setattr(llvm_ir, "STAGE", 3)
+    monkeypatch.setattr(llvm_line, "STAGE", 3)
     staged = [llvm.compile(program, optimized=False) for program in many_programs]
     for compiled, expected in zip(staged, whole, strict=True):
         assert np.array_equal(compiled(inputs, parameters), expected, equal_nan=True)

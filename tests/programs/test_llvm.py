@@ -12,7 +12,7 @@ import pytest
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError
 from pm3dof_pin.programs import llvm, llvm_ir
 from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, sin, sqrt
-from pm3dof_pin.programs.llvm_ir import ANGLE_RANGE
+from pm3dof_pin.programs.llvm_vectors import ANGLE_RANGE
 
 LANES = (2, 4, 8)
 
