@@ -15,7 +15,7 @@ from pm3dof_pin.cli.map_options import EngineOption, Over, Values, robot_grid
 from pm3dof_pin.cli.options import Json, Out, RobotErrorsOptions, Wrench
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.poses import in_words, with_units
+from pm3dof_pin.cli.poses import value_in_words, with_units
 
 if TYPE_CHECKING:
     from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare
@@ -150,7 +150,9 @@ def error_map(
             progress(1, steps)
             fixed_ones = [c for c in errors.robot.coordinates if c.name in grid.fixed]
             result |= with_units(fixed_ones, [grid.fixed[c.name] for c in fixed_ones])
-            words = [in_words(c.name, c.unit, grid.fixed[c.name], ".6f" if c.unit == "m" else "g") for c in fixed_ones]
+            words = [
+                value_in_words(c.name, c.unit, grid.fixed[c.name], ".6f" if c.unit == "m" else "g") for c in fixed_ones
+            ]
             place = f"the section {', '.join(words)}" if words else "the workspace"
             files += write_map(section, out / "error_map")
             if pictures and len(grid.dims) == 2:
@@ -355,7 +357,7 @@ def _budget_lines(result: dict[str, Any]) -> list[str]:
     medians = []
     for heading, (_, median, _) in ends.items():
         name, unit = heading.rsplit("_", 1)
-        medians.append(in_words(name, unit, median, ".4f" if unit == "m" else ".1f"))
+        medians.append(value_in_words(name, unit, median, ".4f" if unit == "m" else ".1f"))
     lines = table_lines(header, rows, words=2)
     lines.append(
         f"least sensitive fifth: {1e6 * tip['least']:.1f} to {1e6 * tip['most']:.1f} µm, elsewhere up to "

@@ -15,13 +15,13 @@ from pm3dof_pin.cli.options import Json, MachineOptions, NamedConfiguration, Out
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import (
     expected_numbers,
-    in_words,
     names_and_units,
     place,
     read_table,
     si_values,
     solve_chosen,
     solve_pose,
+    value_in_words,
     with_units,
     write_batch,
 )
@@ -139,7 +139,7 @@ def fk(
     if solved.solved and machine.tool_frame is not None:
         components = dict(zip(TOOL_COMPONENTS, tool_components(solved.transforms), strict=True))
         result["tool"] = {f"{k}_{'m' if k in 'xyz' else 'rad'}": float(value) for k, value in components.items()}
-        words = (in_words(k, "m" if k in "xyz" else "rad", value) for k, value in components.items())
+        words = (value_in_words(k, "m" if k in "xyz" else "rad", value) for k, value in components.items())
         lines += ["", f"tool {machine.tool_frame}: {', '.join(words)}"]
     print_result(result, lines, as_json=as_json)
     if not solved.solved:

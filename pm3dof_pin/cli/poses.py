@@ -109,7 +109,7 @@ def with_units(coordinates: Sequence[Coordinate], values: Iterable[float]) -> di
     return {f"{c.name}_{c.unit}": float(value) for c, value in zip(coordinates, values, strict=True)}
 
 
-def in_words(name: str, unit: str, value: float, digits: str = ".9g") -> str:
+def value_in_words(name: str, unit: str, value: float, digits: str = ".9g") -> str:
     """Format a value [rad, m] as in "theta_x = 10 deg", with the format `digits`."""
     factor, shown = shown_in(unit)
     return f"{name} = {round(factor * value, 9) + 0.0:{digits}} {shown}"
@@ -169,7 +169,7 @@ def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayL
 
 def _pose_in_words(coordinates: Sequence[Coordinate], values: Sequence[float] | Vector) -> str:
     """Return a pose [rad, m] as `theta_x = 10 deg, z_e = 0.5 m`."""
-    return ", ".join(in_words(c.name, c.unit, value) for c, value in zip(coordinates, values, strict=True))
+    return ", ".join(value_in_words(c.name, c.unit, value) for c, value in zip(coordinates, values, strict=True))
 
 
 def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], values: Vector) -> str:

@@ -14,7 +14,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt, zeros
 from pm3dof_pin.programs.graph import Graph, select
-from pm3dof_pin.programs.joints import Placement
+from pm3dof_pin.programs.joints import Transform
 from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tool_motion import Displacement, joint_columns, response_to_displacements
@@ -148,12 +148,12 @@ def _displacements(
     return displaced, [k for own in numbers.values() for k in own]
 
 
-def _place(tree: Tree, place: str) -> Placement:
+def _place(tree: Tree, place: str) -> Transform:
     """Return the placement of a place, before its joint moves."""
     model = tree.mechanism.model
     if not model.existJointName(place):
         return tree.frame(place)
-    fixed = Placement(tree.geometry.rotation(place), tree.geometry.vector(place, "p"))
+    fixed = Transform(tree.geometry.rotation(place), tree.geometry.vector(place, "p"))
     return tree.body(model.parents[model.getJointId(place)]) * fixed
 
 

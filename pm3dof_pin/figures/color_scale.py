@@ -68,7 +68,7 @@ class ColorScale:
         axis = bar.ax.yaxis if bar.orientation == "vertical" else bar.ax.xaxis
         axis.set_major_locator(FixedLocator(self.ticks))
         decimals = 0 if self.logarithmic else max((_decimals(tick) for tick in self.ticks), default=0)
-        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value, decimals)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: axis_number(value, decimals)))
         bar.ax.minorticks_off()
         bar.outline.set_linewidth(0.7)
 
@@ -114,7 +114,7 @@ def color_scale(values: Array, also: Array | None = None) -> ColorScale:
     if greatest - least < _NEARLY_CONSTANT * mean:
         note = f"varies by {100.0 * (greatest - least) / mean:.2g} % of its mean"
     elif extend != "neither":
-        note = f"values from {number(float(f'{least:.3g}'))} to {number(float(f'{greatest:.3g}'))}"
+        note = f"values from {axis_number(float(f'{least:.3g}'))} to {axis_number(float(f'{greatest:.3g}'))}"
     return ColorScale(levels, logarithmic, extend, note)
 
 
@@ -124,7 +124,7 @@ def kinds_of(values: Array) -> Array:
     return known if len(known) <= _MAX_KINDS and np.array_equal(known, np.round(known)) else known[:0]
 
 
-def number(value: float, decimals: int = 0) -> str:
+def axis_number(value: float, decimals: int = 0) -> str:
     """Format a number for an axis: 0.05, 1500, or a power of ten, with at least `decimals` decimals."""
     if value == 0.0 or 1e-3 <= abs(value) < 1e5:
         return f"{value:.{max(decimals, _decimals(value))}f}".replace("-", "\N{MINUS SIGN}")

@@ -19,7 +19,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.color_scale import ColorScale, color_scale, number
+from pm3dof_pin.figures.color_scale import ColorScale, axis_number, color_scale
 from pm3dof_pin.figures.labels import (
     axis_label,
     display_unit,
@@ -220,7 +220,7 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
     axes.zaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     if scale.logarithmic:
         axes.zaxis.set_major_locator(FixedLocator([math.log10(tick) for tick in scale.ticks]))
-        axes.zaxis.set_major_formatter(FuncFormatter(lambda value, _: number(10.0**value)))
+        axes.zaxis.set_major_formatter(FuncFormatter(lambda value, _: axis_number(10.0**value)))
     axes.tick_params(pad=-1)
     axes.tick_params(axis="z", pad=3)
     for axis, label in ((axes.xaxis, "x"), (axes.yaxis, "y")):  # the nearest corner is shared

@@ -32,14 +32,14 @@ def cross(a: Sequence[Scalar] | Objects, b: Sequence[Scalar] | Objects) -> Objec
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class Transform:
     """A placement in the world, translation in metres."""
 
     rotation: Objects
     translation: Objects
 
-    def __mul__(self, other: Placement) -> Placement:
-        return Placement(self.rotation @ other.rotation, self.translation + self.rotation @ other.translation)
+    def __mul__(self, other: Transform) -> Transform:
+        return Transform(self.rotation @ other.rotation, self.translation + self.rotation @ other.translation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Screw:
         return objects(self.linear + cross(self.angular, point - self.point))
 
 
-class Joint(Protocol):
+class SimpleJoint(Protocol):
     """A simple joint, with `nq` entries of q and `nv` of v."""
 
     @property
@@ -68,10 +68,10 @@ class Joint(Protocol):
     def nv(self) -> int:
         """Number of its entries of v."""
 
-    def displacement(self, q: Objects) -> Placement:
+    def displacement(self, q: Objects) -> Transform:
         """Return the placement of the moving body relative to the fixed one."""
 
-    def screws(self, moving: Placement) -> list[Screw]:
+    def screws(self, moving: Transform) -> list[Screw]:
         """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
 
     def rate(self, q: Objects, v: Objects) -> Objects:
@@ -93,10 +93,10 @@ class _Revolute:
     nq = 1
     nv = 1
 
-    def displacement(self, q: Objects) -> Placement:
-        return Placement(_rotation(self.axis, cos(q[0]), sin(q[0])), _NO_MOTION)
+    def displacement(self, q: Objects) -> Transform:
+        return Transform(_rotation(self.axis, cos(q[0]), sin(q[0])), _NO_MOTION)
 
-    def screws(self, moving: Placement) -> list[Screw]:
+    def screws(self, moving: Transform) -> list[Screw]:
         return [Screw(moving.rotation @ self.axis, _NO_MOTION, moving.translation)]
 
     def rate(self, q: Objects, v: Objects) -> Objects:
@@ -112,8 +112,8 @@ class _Continuous(_Revolute):
 
     nq = 2
 
-    def displacement(self, q: Objects) -> Placement:
-        return Placement(_rotation(self.axis, q[0], q[1]), _NO_MOTION)
+    def displacement(self, q: Objects) -> Transform:
+        return Transform(_rotation(self.axis, q[0], q[1]), _NO_MOTION)
 
     def rate(self, q: Objects, v: Objects) -> Objects:
         return objects([-(q[1] * v[0]), q[0] * v[0]])
@@ -130,10 +130,10 @@ class _Prismatic:
     nq = 1
     nv = 1
 
-    def displacement(self, q: Objects) -> Placement:
-        return Placement(_NO_ROTATION, self.axis * q[0])
+    def displacement(self, q: Objects) -> Transform:
+        return Transform(_NO_ROTATION, self.axis * q[0])
 
-    def screws(self, moving: Placement) -> list[Screw]:
+    def screws(self, moving: Transform) -> list[Screw]:
         return [Screw(_NO_MOTION, moving.rotation @ self.axis, moving.translation)]
 
     def rate(self, q: Objects, v: Objects) -> Objects:
@@ -149,9 +149,9 @@ class _Spherical:
     nq = 4
     nv = 3
 
-    def displacement(self, q: Objects) -> Placement:
+    def displacement(self, q: Objects) -> Transform:
         x, y, z, w = q
-        return Placement(
+        return Transform(
             objects(
                 [
                     [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
@@ -162,7 +162,7 @@ class _Spherical:
             _NO_MOTION,
         )
 
-    def screws(self, moving: Placement) -> list[Screw]:
+    def screws(self, moving: Transform) -> list[Screw]:
         return [Screw(axis, _NO_MOTION, moving.translation) for axis in moving.rotation.T]
 
     def step(self, q: Objects, v: Objects) -> Objects:
@@ -179,10 +179,10 @@ class _FreeFlyer:
     nq = 7
     nv = 6
 
-    def displacement(self, q: Objects) -> Placement:
-        return Placement(_Spherical().displacement(q[3:]).rotation, q[:3])
+    def displacement(self, q: Objects) -> Transform:
+        return Transform(_Spherical().displacement(q[3:]).rotation, q[:3])
 
-    def screws(self, moving: Placement) -> list[Screw]:
+    def screws(self, moving: Transform) -> list[Screw]:
         slides = [Screw(_NO_MOTION, axis, moving.translation) for axis in moving.rotation.T]
         return slides + _Spherical().screws(moving)
 
@@ -200,10 +200,10 @@ class _Planar:
     nq = 4
     nv = 3
 
-    def displacement(self, q: Objects) -> Placement:
-        return Placement(_rotation(objects(_AXES["Z"]), q[2], q[3]), objects([q[0], q[1], 0.0]))
+    def displacement(self, q: Objects) -> Transform:
+        return Transform(_rotation(objects(_AXES["Z"]), q[2], q[3]), objects([q[0], q[1], 0.0]))
 
-    def screws(self, moving: Placement) -> list[Screw]:
+    def screws(self, moving: Transform) -> list[Screw]:
         x, y, z = moving.rotation.T
         slides = [Screw(_NO_MOTION, axis, moving.translation) for axis in (x, y)]
         return [*slides, Screw(z, _NO_MOTION, moving.translation)]
@@ -221,8 +221,8 @@ class _Planar:
 class ChainJoint:
     """A simple joint, fixed at a placement, in the chain of a Pinocchio joint; indices are the first ones."""
 
-    placement: Placement
-    joint: Joint
+    placement: Transform
+    joint: SimpleJoint
     q_index: int
     v_index: int
 
@@ -234,7 +234,7 @@ def chain(model: pin.Model, index: int, geometry: Geometry) -> Iterator[ChainJoi
     yield from _links(name, model.joints[index], first, geometry)
 
 
-def _links(name: str, model_joint: Any, first: Placement, geometry: Geometry) -> Iterator[ChainJoint]:
+def _links(name: str, model_joint: Any, first: Transform, geometry: Geometry) -> Iterator[ChainJoint]:
     kind = model_joint.shortname().removeprefix("JointModel")
     concrete = model_joint.extract() if hasattr(model_joint, "extract") else model_joint
     if kind == "Composite":
@@ -244,13 +244,13 @@ def _links(name: str, model_joint: Any, first: Placement, geometry: Geometry) ->
             yield from _links(part_name, part, first * part_placement if k == 0 else part_placement, geometry)
         return
     q_index, v_index = model_joint.idx_q, model_joint.idx_v
-    no_offset = Placement(_NO_ROTATION, _NO_MOTION)
+    no_offset = Transform(_NO_ROTATION, _NO_MOTION)
     for k, joint in enumerate(_simple_joints(name, kind, geometry)):
         yield ChainJoint(first if k == 0 else no_offset, joint, q_index, v_index)
         q_index, v_index = q_index + joint.nq, v_index + joint.nv
 
 
-def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[Joint]:
+def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[SimpleJoint]:
     x, y, z = (objects(_AXES[letter]) for letter in "XYZ")
     if len(kind) == 2 and kind[0] in "RP" and kind[1] in _AXES:
         axis = objects(_AXES[kind[1]])
@@ -279,8 +279,8 @@ def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[Joint]:
     raise ProgramError(f"joint '{name}': programs do not support joints of type {kind}")
 
 
-def _placement(geometry: Geometry, name: str) -> Placement:
-    return Placement(geometry.rotation(name), geometry.vector(name, "p"))
+def _placement(geometry: Geometry, name: str) -> Transform:
+    return Transform(geometry.rotation(name), geometry.vector(name, "p"))
 
 
 def _rotation(axis: Objects, c: Scalar, s: Scalar) -> Objects:

@@ -22,7 +22,7 @@ from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
 from pm3dof_pin.programs.elimination import Doubt
 from pm3dof_pin.programs.graph import Scalar, Truth, cos, is_zero, less, maximum, select, sin, sqrt
 from pm3dof_pin.programs.graph import absolute as magnitude
-from pm3dof_pin.programs.joints import Placement, cross, objects
+from pm3dof_pin.programs.joints import Transform, cross, objects
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
@@ -79,17 +79,17 @@ def in_axes_of_first_frame(tree: Tree, index: int, equations: Equations) -> Equa
     )
 
 
-def closure_frames(tree: Tree, index: int) -> tuple[Placement, Placement]:
+def closure_frames(tree: Tree, index: int) -> tuple[Transform, Transform]:
     """Return the placements of a closure's frames, with the axes of its type."""
     loop = tree.mechanism.closures[index]
     a, b = tree.frame(loop.frame_a), tree.frame(loop.frame_b)
     if loop.bases is None:
         return a, b
     first, second = (objects(basis.tolist()) for basis in loop.bases)
-    return Placement(a.rotation @ first, a.translation), Placement(b.rotation @ second, b.translation)
+    return Transform(a.rotation @ first, a.translation), Transform(b.rotation @ second, b.translation)
 
 
-def held_twist(kind: ClosureType, a: Placement, b: Placement) -> Objects | int:
+def held_twist(kind: ClosureType, a: Transform, b: Transform) -> Objects | int:
     """Return the rows that a closure takes from the relative twist of frame b, world axes, shape=(size, 6).
 
     A number instead says that it takes the first so many components as they are.
@@ -256,7 +256,7 @@ def _target_rotation(targets: Mapping[str, Scalar]) -> Objects:
     )
 
 
-def _angle_equation(tool: Placement, component: str, targets: Mapping[str, Scalar]) -> tuple[Scalar, Objects, Scalar]:
+def _angle_equation(tool: Transform, component: str, targets: Mapping[str, Scalar]) -> tuple[Scalar, Objects, Scalar]:
     """Return the error of one angle, its derivative by angular velocity, and 1 if the angle is over 90 degrees off."""
     R = tool.rotation
     c, s = cos(targets[component]), sin(targets[component])

@@ -35,7 +35,7 @@ from pm3dof_pin.programs.elimination import (
     zeros,
 )
 from pm3dof_pin.programs.graph import is_zero, sqrt
-from pm3dof_pin.programs.joints import Placement, Screw, cross, objects
+from pm3dof_pin.programs.joints import Screw, Transform, cross, objects
 from pm3dof_pin.programs.loops import apply_rows, closure_frames, held_twist, loop_equations
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
@@ -59,7 +59,7 @@ class Column:
 class Displacement:
     """Small twists of everything beyond a place, and which closure frames they move, and whether the tool frame."""
 
-    place: Placement
+    place: Transform
     frames: frozenset[str]
     local: Objects  #: twists [v; omega] at the place, in its axes, shape=(6, k)
 

@@ -11,7 +11,7 @@ from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.geometry import Geometry
 from pm3dof_pin.programs.graph import Graph, Scalar, is_zero
-from pm3dof_pin.programs.joints import ChainJoint, Placement, Screw, chain, objects
+from pm3dof_pin.programs.joints import ChainJoint, Screw, Transform, chain, objects
 from pm3dof_pin.typing import Objects
 
 
@@ -63,7 +63,7 @@ class Tree:
         self.geometry = Geometry(graph, mechanism, frames, dense=dense)
         self.links: list[ChainJoint] = []
         screws: dict[int, Screw] = {}
-        self._bodies = [Placement(objects(np.eye(3).tolist()), objects([0.0, 0.0, 0.0]))]
+        self._bodies = [Transform(objects(np.eye(3).tolist()), objects([0.0, 0.0, 0.0]))]
         self._supports: list[tuple[int, ...]] = [()]
         for index in range(1, model.njoints):
             body, joint = self._bodies[model.parents[index]], model.joints[index]
@@ -80,15 +80,15 @@ class Tree:
         """The purely translational entries of v, which are measured in lengths."""
         return [k for k, screw in enumerate(self.screws) if all(map(is_zero, screw.angular))]
 
-    def body(self, joint: int) -> Placement:
+    def body(self, joint: int) -> Transform:
         """Return the placement of the body that a joint moves, by Pinocchio's index of the joint."""
         return self._bodies[joint]
 
-    def frame(self, name: str) -> Placement:
+    def frame(self, name: str) -> Transform:
         """Return the placement of a frame in the world; FrameNotFoundError if the model has no such frame."""
         frame = self.mechanism.model.frames[self.mechanism.frame_id(name)]
         owner = f"frame/{name}"
-        fixed = Placement(self.geometry.rotation(owner), self.geometry.vector(owner, "p"))
+        fixed = Transform(self.geometry.rotation(owner), self.geometry.vector(owner, "p"))
         return self.body(frame.parentJoint) * fixed
 
     def support(self, name: str) -> tuple[int, ...]:

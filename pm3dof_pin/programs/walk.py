@@ -40,7 +40,7 @@ from pm3dof_pin.programs.graph import (
     select,
     sqrt,
 )
-from pm3dof_pin.programs.joints import Placement, objects
+from pm3dof_pin.programs.joints import Transform, objects
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Array, Objects
@@ -271,7 +271,7 @@ def start_program(
     return graph.program("start", state)
 
 
-def placement_component(tool: Placement, name: str) -> Scalar:
+def placement_component(tool: Transform, name: str) -> Scalar:
     """Record a component of a placement, the angles those of R = Rx(rx) Ry(ry) Rz(rz)."""
     R = tool.rotation
     if name in "xyz":

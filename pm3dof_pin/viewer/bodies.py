@@ -51,7 +51,7 @@ class BodyPart:
 
 
 @dataclass(frozen=True)
-class Body:
+class DrawnBody:
     """Drawn parts of one link (stick figure: joint), in the frame of the joint that moves it."""
 
     name: str
@@ -70,7 +70,7 @@ class Body:
         return f"{self.path}/visual"
 
 
-class Bodies(tuple[Body, ...]):
+class Bodies(tuple[DrawnBody, ...]):
     """All drawn bodies of a mechanism."""
 
     @classmethod
@@ -129,12 +129,12 @@ def _visuals(mechanism: Mechanism, urdf: Path | str | None) -> list[_Visual]:
         return []
 
 
-def _drawn_bodies(mechanism: Mechanism, visuals: list[_Visual]) -> tuple[Body, ...]:
-    bodies: dict[str, Body] = {}
+def _drawn_bodies(mechanism: Mechanism, visuals: list[_Visual]) -> tuple[DrawnBody, ...]:
+    bodies: dict[str, DrawnBody] = {}
     for visual in visuals:
         if visual.body not in bodies:
             frame = mechanism.model.frames[mechanism.frame_id(visual.body)]
-            bodies[visual.body] = Body(frame.name, frame.parentJoint, np.array(frame.placement.homogeneous))
+            bodies[visual.body] = DrawnBody(frame.name, frame.parentJoint, np.array(frame.placement.homogeneous))
         placement = np.array(visual.shape.placement.se3.homogeneous)
         own = colours.ROLES[role_of(mechanism, bodies[visual.body].joint)]
         parts = _part(visual.shape, placement, own) if visual.path is None else _mesh_parts(visual, placement, own)
@@ -252,14 +252,14 @@ def _moved(points: Array, placement: Array) -> Array:
     return moved
 
 
-def _stick_figure(mechanism: Mechanism) -> tuple[Body, ...]:
+def _stick_figure(mechanism: Mechanism) -> tuple[DrawnBody, ...]:
     """Balls at the joints, and rods between them and to the frames of closures and tool, in the colours of roles.
 
     The base is an outline around the points where it carries something.
     """
     model = mechanism.model
     size = mechanism.characteristic_length
-    bodies = [Body(name, joint, np.eye(4)) for joint, name in enumerate(model.names)]
+    bodies = [DrawnBody(name, joint, np.eye(4)) for joint, name in enumerate(model.names)]
     ends: list[list[tuple[str, Array]]] = [[] for _ in bodies]
     for joint in range(1, model.njoints):
         moves_freely = model.parents[joint] == 0 and model.joints[joint].nv == 6

@@ -8,7 +8,7 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, ClosureSpring, JointSpring, Spring
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import colours
-from pm3dof_pin.viewer.bodies import Body
+from pm3dof_pin.viewer.bodies import DrawnBody
 from pm3dof_pin.viewer.panel import numbers_with_unit
 from pm3dof_pin.viewer.scene import Json
 
@@ -63,7 +63,7 @@ class ColouredLegs:
         """Return the share of each body's leg in a deflection, by joint, from the share of each spring."""
         return {joint: sum(shares[name] for name in names) for joint, names in self._of_joint.items()}
 
-    def paint(self, bodies: Iterable[Body], by_joint: Mapping[int, float]) -> list[Json]:
+    def paint(self, bodies: Iterable[DrawnBody], by_joint: Mapping[int, float]) -> list[Json]:
         """Return the parts that an entry paints: all drawn parts of legs in the colour of their share."""
         return [
             {
@@ -87,7 +87,7 @@ def _chain(mechanism: Robot, joint: int) -> list[int]:
     return chain
 
 
-def about_body(robot: Robot, body: Body, springs: Iterable[Spring]) -> Json:
+def about_body(robot: Robot, body: DrawnBody, springs: Iterable[Spring]) -> Json:
     """Return the page's text about a body: its `name`, lines `about` it valid in every pose, and its `actuator`.
 
     The actuator is the index of the only one in the body's leg, or None. The springs named are those of this body.

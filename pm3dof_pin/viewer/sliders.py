@@ -20,7 +20,7 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.programs.elimination import PIVOT
 from pm3dof_pin.typing import Array, Matrix, Motion, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
-from pm3dof_pin.viewer.bodies import Body
+from pm3dof_pin.viewer.bodies import DrawnBody
 from pm3dof_pin.viewer.ellipsoids import EllipsoidQuantity
 from pm3dof_pin.viewer.labels import display_label
 from pm3dof_pin.viewer.legs import about_body
@@ -43,7 +43,7 @@ class Sliders:
         self._sets = sets_of(robot)
         self._space = MotionSpace.from_configuration(robot.home)
 
-    def machine_data(self, bodies: tuple[Body, ...]) -> Json:
+    def machine_data(self, bodies: tuple[DrawnBody, ...]) -> Json:
         """Return the data about the robot and its drawn bodies that the page needs besides the programs."""
         robot = self._robot
         model = robot.model

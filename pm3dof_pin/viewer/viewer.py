@@ -20,7 +20,7 @@ from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import MOTIONS, Array, Motion
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
-from pm3dof_pin.viewer.bodies import Bodies, Body, role_of
+from pm3dof_pin.viewer.bodies import Bodies, DrawnBody, role_of
 from pm3dof_pin.viewer.ellipsoids import (
     EXPLANATIONS,
     UNITS,
@@ -644,7 +644,7 @@ class Viewer(ShownScene):
         frame = self.mechanism.model.frames[self.mechanism.frame_id(frame_name)]
         body = next((body for body in self._bodies if body.joint == frame.parentJoint), None)
         if body is None:  # not drawn yet
-            body = Body(self.mechanism.model.names[frame.parentJoint], frame.parentJoint, np.eye(4))
+            body = DrawnBody(self.mechanism.model.names[frame.parentJoint], frame.parentJoint, np.eye(4))
             self._bodies = Bodies((*self._bodies, body))
             self.scene.set_transforms(Bodies((body,)).placements(self._configuration))
             if self._sliders is not None:

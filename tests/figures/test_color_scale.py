@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pm3dof_pin.figures.color_scale import color_scale, number
+from pm3dof_pin.figures.color_scale import axis_number, color_scale
 from pm3dof_pin.figures.labels import display_unit, parameter_words
 
 
@@ -56,4 +56,4 @@ def test_names_and_numbers() -> None:
     assert parameter_words("slider1_joint.tx") == "slider 1, along $x$"
     assert parameter_words("O_e.rz") == "$O_{e}$, about $z$"
     assert parameter_words("some name") == "some name"
-    assert (number(1500.0), number(0.05), number(1e9)) == ("1500", "0.05", "$10^{9}$")
+    assert (axis_number(1500.0), axis_number(0.05), axis_number(1e9)) == ("1500", "0.05", "$10^{9}$")
