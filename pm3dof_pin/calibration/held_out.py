@@ -10,6 +10,7 @@ import numpy as np
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.fit import MIN_POSES, Fit, compensation_from
 from pm3dof_pin.calibration.identification import Identification, identify
+from pm3dof_pin.calibration.mistakes import millimetres
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
 from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
@@ -21,6 +22,7 @@ from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _FOLDS = 5
+_SAME_POINT = 1e-9  # [m]
 _MOVED = 0.01  # [m, rad]: farther than a machine's errors move its base
 _UNSEEN = 1e-9  # relative size of motions of base and tool that no measurement shows
 _FLOOR_SEEN = 1e-3  # full poses show all directions, but near a singular pose a useful one can be tiny
@@ -110,31 +112,51 @@ class HeldOut:
 
         The frame is the identified one, or if the instrument has clearly moved, one found from these alone.
         """
-        compensation, found = calibration.compensation, calibration.identification
-        measurements, notes = _of_their_own_station(calibration, measurements)
-        scores = _scores_of(compensation, found.settle(measurements), compensation)
+        compensation = calibration.compensation
+        measurements, notes = _of_known_targets(calibration.identification, measurements)
+        settled, moved = _of_their_own_station(calibration, measurements)
+        scores = _scores_of(compensation, settled, compensation)
         scatter = compensation.scatter
-        judged = _together(calibration, np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
-        return replace(judged, notes=notes)
+        judged = _together(calibration, np.arange(len(settled)), scores.that_show_the_tool(), scatter, scatter)
+        return replace(judged, notes=(*notes, *moved))
+
+
+def _of_known_targets(found: Identification, measurements: Measurements) -> tuple[Measurements, tuple[str, ...]]:
+    """Return measurements whose targets are those of the calibration where they are as near as these are known."""
+    sigma = found.measurements.target_sigma
+    known = np.unique(found.measurements.points[found.measurements.points.any(axis=1)], axis=0)
+    points, notes = measurements.points.copy(), []
+    for point in np.unique(points[points.any(axis=1)], axis=0) if sigma > 0.0 else ():
+        place = f"target ({millimetres(point)}) mm"
+        distances = np.linalg.norm(known - point, axis=1)
+        nearest, distance = (int(distances.argmin()), float(distances.min())) if len(known) else (0, np.inf)
+        if _SAME_POINT < distance <= sigma:
+            points[(points == point).all(axis=1)] = known[nearest]
+            notes.append(
+                f"{place} is taken for that of the calibration {1e3 * distance:.3g} mm away, as its place was known to "
+                f"{1e3 * sigma:.3g} mm"
+            )
+        elif distance > sigma:
+            notes.append(f"{place} was not measured for the calibration: it is taken to be where the file has it")
+    return measurements.with_points(points), tuple(notes)
 
 
 def _of_their_own_station(calibration: Fit, measurements: Measurements) -> tuple[Measurements, tuple[str, ...]]:
-    """Return measurements of an instrument that was moved, in the base located by the calibrated machine; say so."""
-    first, second = calibration.measurements.registration, measurements.registration
-    if first is None or second is None or not measurements.seen.all():
-        return measurements, ()
-    difference = pose_difference(first.base, second.base)
-    if np.linalg.norm(difference[:3]) < _MOVED and np.linalg.norm(difference[3:]) < _MOVED:
-        return measurements, ()
+    """Return settled measurements, of an instrument that was moved in the base located by the calibrated machine."""
+    settled = calibration.identification.settle(measurements)
+    if settled.registration is None or not measurements.seen.all():
+        return settled, ()
     compensation = calibration.compensation
-    reached = compensation.poses(compensation.errors.robot.forward(measurements.commands), measurements.conditions)
-    found = measurements.registered_at(reached, compensation.eta)
-    distance = float(np.linalg.norm(difference[:3]))
+    reached = compensation.poses(compensation.errors.robot.forward(settled.commands), settled.conditions)
+    found = settled.registered_at(reached, compensation.eta)
+    difference = pose_difference(np.eye(4), found.base)
+    if np.linalg.norm(difference[:3]) < _MOVED and np.linalg.norm(difference[3:]) < _MOVED:
+        return settled, ()
     note = (
-        f"the validation was measured from another station, {distance:.3g} m away: its base is located separately, and "
-        "errors common to all poses are not judged"
+        f"the validation was measured from another station, {np.linalg.norm(difference[:3]):.3g} m away: its base is "
+        "located separately, and errors common to all poses are not judged"
     )
-    return replace(measurements.in_axes(found), registration=None), (note,)
+    return replace(settled.in_axes(found), registration=None), (note,)
 
 
 @dataclass(frozen=True, eq=False)

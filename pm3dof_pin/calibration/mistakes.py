@@ -166,7 +166,7 @@ def _points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[
         moved = measurements.with_points(measurements.points + shift)
         shift = shift + _explained_by(moved, nominal, eta, datum_motions(nominal)[:, :, 6:9])
     shifted = replace(measurements.with_points(measurements.points + shift), tool_point_sigma=_POINT_SIGMA)
-    words = f"about ({_millimetres(shift)}) mm from where the file has it, in the tool's axes"
+    words = f"about ({millimetres(shift)}) mm from where the file has it, in the tool's axes"
     yield Mistake(f"the point seen is {words}", shifted)
     if measurements.rotations is not None:
         left, _, right = np.linalg.svd((np.swapaxes(nominal.rotations, 1, 2) @ measurements.rotations).sum(axis=0))
@@ -186,7 +186,7 @@ def _points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[
         off = np.einsum("nji,nj->ni", nominal.rotations, measurements.positions - measurements.points_on(nominal))
         for k in range(len(points)):
             place = points[k] + np.median(off[numbers == k], axis=0)
-            text = f"target {k + 1} is not where the file has it, but at about ({_millimetres(place)}) mm"
+            text = f"target {k + 1} is not where the file has it, but at about ({millimetres(place)}) mm"
             yield Mistake(text, measurements.with_points(np.where((numbers == k)[:, None], place, measurements.points)))
 
 
@@ -200,7 +200,7 @@ def _fixed_points(measurements: Measurements, nominal: Poses, eta: float) -> Ite
         rows = fixed & (origins == place).all(axis=1)
         if rows.sum() >= _MIN_ROWS:
             centres[rows], spheres[rows] = fitted_sphere(measurements.points_on(nominal)[rows], distances[rows]), number
-    words = "), (".join(map(_millimetres, np.unique(centres[fixed], axis=0)))
+    words = "), (".join(map(millimetres, np.unique(centres[fixed], axis=0)))
     text = f"the fixed points are not where the file has them, but at about ({words}) mm"
     yield Mistake(text, replace(measurements, origins=centres, spheres=spheres))
 
@@ -228,7 +228,7 @@ def _counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterato
                 f"u{k + 1} is {1.0 / (1.0 + lead):.5g} times what it should be: another lead or sign", corrected
             )
     zeros, corrected = fitted(np.tile(np.eye(count), (len(commands), 1, 1)))
-    yield Mistake(f"the zeros of the drives are off by about ({_millimetres(-zeros)}) mm or mrad", corrected)
+    yield Mistake(f"the zeros of the drives are off by about ({millimetres(-zeros)}) mm or mrad", corrected)
 
 
 def changes_in_the_middle(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
@@ -260,7 +260,7 @@ def _change(measurements: Measurements, nominal: Poses, eta: float, what: str, c
         change = change + step
         later = np.arange(len(moved))[:, None] >= first
         moved = moved.without_motions(nominal, np.where(later, motions @ step, 0.0))
-    text = f"from line {measurements.lines[first]} on {what}, by about ({_millimetres(change[:3])}) mm"
+    text = f"from line {measurements.lines[first]} on {what}, by about ({millimetres(change[:3])}) mm"
     return Mistake(text, moved, lambda rows, poses: _change(rows, poses, eta, what, columns).corrected)
 
 
@@ -281,5 +281,6 @@ def _explained_by(measurements: Measurements, poses: Poses, eta: float, motions:
     return np.asarray(answer[0][:count])
 
 
-def _millimetres(values: Array) -> str:
+def millimetres(values: Array) -> str:
+    """Return lengths in metres as words in millimetres."""
     return ", ".join(f"{round(1e3 * value, 3) + 0.0:.3g}" for value in values)

@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import pm3dof_pin as pm
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.typing import Array
 
 ZEROS = np.array([0.0, 24e-3, -31e-3, 20e-3, 35e-3, -22e-3])
+
+
+POINTS = ((0.1, 0.0, 0.02), (-0.05, 0.08, 0.0), (-0.05, -0.08, 0.0))
+
+
+def _seen(machine: pm.Robot, commands: Array, generator: np.random.Generator) -> pm.Measurements:
+    """Return what a tracker with a frame of its own sees of a machine whose zeros are far off."""
+    reached = machine.forward(commands + ZEROS).transforms
+    seen = pm.Measurements.from_poses(commands, reached, Instrument("position", 3e-5, own_frame=True, targets=POINTS))
+    return replace(seen, positions=seen.positions + 3e-5 * generator.standard_normal(seen.positions.shape))
+
+
+def _registered(seen: pm.Measurements, robot: pm.Robot) -> pm.Measurements:
+    """Return measurements as they are read from a file: in the base located by the machine as described."""
+    found = seen.registered_at(robot.forward(seen.commands))
+    return replace(seen.in_axes(found), registration=found)
 
 
 def test_zeros_far_off_are_found_by_default() -> None:
@@ -19,16 +38,8 @@ def test_zeros_far_off_are_found_by_default() -> None:
     generator = np.random.default_rng(3)
     machine = errors.apply(errors.sample(generator))
     commands = pm.reachable_poses(errors.robot, 40, generator).commands
-    instrument = Instrument(
-        "position", 3e-5, own_frame=True, targets=((0.1, 0, 0.02), (-0.05, 0.08, 0), (-0.05, -0.08, 0))
-    )
-    reached = machine.forward(commands + ZEROS).transforms
-    seen = pm.Measurements.from_poses(commands, reached, instrument)
-    noisy = seen.positions + 3e-5 * generator.standard_normal(seen.positions.shape)
-    rows = type(seen)(**{**vars(seen), "positions": noisy})
-    nominal = errors.robot.forward(rows.commands)
-    found = rows.registered_at(nominal)
-    calibration = pm.calibrate(type(seen)(**{**vars(rows.in_axes(found)), "registration": found}), errors, "lm")
+    rows = _registered(_seen(machine, commands, generator), errors.robot)
+    calibration = pm.calibrate(rows, errors, "lm")
     assert any("taken as unknown" in warning for warning in calibration.warnings)
     # errors against a machine whose base is where the calibrated one has it
     fresh = pm.reachable_poses(errors.robot, 60, np.random.default_rng(8)).commands
@@ -39,3 +50,22 @@ def test_zeros_far_off_are_found_by_default() -> None:
     transforms = np.array(true.transforms)
     transforms[:, :3, :3], transforms[:, :3, 3] = left.rotations, left.positions
     assert np.median(tip_error(pose_difference(transforms, model.transforms))) < 1e-4
+
+
+def test_a_validation_of_the_same_session_sees_the_same_targets() -> None:
+    """The frame is that of the calibrated machine, and a target 0.1 mm off in the file is the same target."""
+    pytest.importorskip("example_robot_data")
+    errors, generator = pm.GeometricErrors.load("ur5", tool_frame="tool0"), np.random.default_rng(3)
+    machine = errors.apply(errors.sample(generator))
+    files = []
+    for count in (40, 60):
+        seen = _seen(machine, pm.reachable_poses(errors.robot, count, generator).commands, generator)
+        files.append(replace(_registered(seen, errors.robot), target_sigma=1e-3))
+    second = (files[1].points == POINTS[1]).all(axis=1)
+    calibration = pm.calibrate(
+        files[0], errors, "lm", validation=files[1].with_points(files[1].points + 1e-4 * second[:, None])
+    )
+    assert any("is taken for that of the calibration 0.173 mm away" in warning for warning in calibration.warnings)
+    assert not any("station" in warning for warning in calibration.warnings)
+    assert calibration.validation is not None
+    assert calibration.validation.within > 0.85
