@@ -16,6 +16,7 @@ import numpy as np
 
 from pm3dof_pin.calibration.fit import MIN_POSES, Method
 from pm3dof_pin.calibration.identifiability import minimum_poses
+from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.planning import (
     MIN_DISTANCE,
     STRATEGIES,
@@ -53,7 +54,9 @@ SEEDS = range(10)
 
 _TESTS = 300
 _WITHIN = 1e-9  # of declared ranges [m, rad]
-_ROUNDS = 4  # of replacing poses at which some machine cannot be assembled
+_ROUNDS = 8  # of replacing poses at which some machine cannot be assembled
+_USUAL = 1.2  # times the median sensitivity: poses below it are never left out for being as sensitive as another
+_FEWEST = 0.3  # fraction of the candidates that must remain
 _MORE = 4  # times as many candidates are drawn where only some are usable
 _ONCE: tuple[Strategy, ...] = ("space-filling", "least-sensitive", "random")
 
@@ -70,7 +73,8 @@ class MeasurementPlan:
     accurate: bool | None  #: whether the accuracy asked for is reached; None if none was
     machines: int  #: number of machines, three tolerances out, that were assembled at every pose
     near_singular: int  #: candidates left out because they are near singular poses
-    not_assembled: int  #: candidates left out because one of the machines cannot be assembled there
+    #: candidates left out because one of the machines cannot be assembled there, or at a pose as sensitive as that
+    not_assembled: int
     seed: int  #: of the random numbers
 
     @property
@@ -83,6 +87,13 @@ class MeasurementPlan:
         """Least number of poses that identify as much as all candidates."""
         rows = 2 * len(self.problem.errors)
         return minimum_poses(self.problem.regressor[:rows], self.problem.nuisance_regressor[:rows])
+
+    @property
+    def can_be_checked(self) -> bool:
+        """Whether measurements of these poses can contradict what is identified from them, as `calibrate` demands."""
+        known, nuisances = self.plan.identifiability.identified, self.problem.nuisances
+        equations = len(self.plan.indices) * self.problem.regressor.shape[1]
+        return len(self.plan.indices) > MIN_POSES or equations > known + int(np.sum(nuisances.sigmas >= UNKNOWN))
 
     @cached_property
     def by_strategy(self) -> dict[Strategy, float]:
@@ -176,9 +187,12 @@ def plan_measurements(
         instrument = placed_instrument(instrument, drawn, sigma=sigma, point=point, centres=centres, **given)
     choices = touching_poses(drawn, instrument)
     choices = _declared(choices) if among is None else choices
-    regular = _regular(errors, choices) if among is None else np.ones(len(choices), dtype=bool)
-    near_singular = int((~regular).sum())
-    choices = choices[regular]
+    near_singular, sizes = 0, np.zeros(len(choices))
+    if among is None:
+        sizes = _sensitivities(errors, choices)
+        regular = sizes <= SINGULAR
+        near_singular = int((~regular).sum())
+        choices, sizes = choices[regular], sizes[regular]
     whole = instrument.measured == "pose" and not (instrument.targets or instrument.encoders or instrument.tilts_only)
     if not whole and (accuracy is not None or method != "lm"):
         raise InvalidValueError("method", method, "lm, without an accuracy, for instruments that do not see full poses")
@@ -203,9 +217,13 @@ def plan_measurements(
         open_ = ~_assembled(errors, plan.poses, machines, seed)
         if not open_.any():
             break
-        dropped += int(open_.sum())
-        kept = np.delete(np.arange(len(choices)), plan.indices[open_])
-        choices, wrenches = choices[kept], None if wrenches is None else wrenches[kept]
+        # where one machine cannot be assembled, no other pose as sensitive as that is taken either
+        kept = np.ones(len(choices), dtype=bool)
+        kept[plan.indices[open_]] = False
+        tighter = kept & (sizes < max(_USUAL, float(sizes[plan.indices[open_]].min())))
+        kept = tighter if among is None and tighter.sum() > _FEWEST * len(kept) else kept
+        dropped += int((~kept).sum())
+        choices, sizes, wrenches = choices[kept], sizes[kept], None if wrenches is None else wrenches[kept]
     else:
         raise UnreachablePoseError(
             f"{robot.name}: machines {OUT_OF_TOLERANCE:g} tolerances out cannot be assembled at {int(open_.sum())} of "
@@ -227,11 +245,10 @@ def _declared(poses: Poses) -> Poses:
     return poses[within] if within.any() else poses
 
 
-def _regular(errors: GeometricErrors, poses: Poses) -> Mask:
-    """Tell which poses are not near singular ones, shape=(n,)."""
-    found = error_map(errors, poses)
-    sizes = np.linalg.norm(found.weighted * errors.tolerances, axis=(1, 2))
-    return np.asarray(sizes <= SINGULAR * np.median(sizes))
+def _sensitivities(errors: GeometricErrors, poses: Poses) -> Array:
+    """Return how far errors of the parts move the tool at each pose, relative to the median, shape=(n,)."""
+    sizes = np.linalg.norm(error_map(errors, poses).weighted * errors.tolerances, axis=(1, 2))
+    return np.asarray(sizes / np.median(sizes))
 
 
 def _assembled(errors: GeometricErrors, poses: Poses, machines: int, seed: int) -> Mask:
@@ -239,7 +256,7 @@ def _assembled(errors: GeometricErrors, poses: Poses, machines: int, seed: int) 
     generator, found = np.random.default_rng([seed, 2]), np.ones(len(poses), dtype=bool)
     for _ in range(machines):
         crooked = errors.apply(OUT_OF_TOLERANCE * errors.sample(generator))
-        found &= crooked.forward(poses.commands, guess=poses.q, on_failure="nan", engine="pinocchio").solved
+        found &= crooked.forward(poses.commands, guess=poses.q, on_failure="nan").solved
     return found
 
 

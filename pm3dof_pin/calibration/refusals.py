@@ -110,7 +110,7 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
     poses = int(found.measurements.pose_numbers.max()) + 1
     if poses < 2:
         reasons.append("only one pose was measured, which tells nothing about others")
-    if calibration.options.identifies and (problem := _too_few(found)):
+    if calibration.options.identifies and held_out is None and (problem := _too_few(found)):
         reasons.append(problem)
     if len(found.outliers) > _MANY_OUTLIERS * len(found.measurements):
         reasons.append(f"{len(found.outliers)} of {len(found.measurements)} rows are outliers relative to the others")
@@ -162,7 +162,10 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
 
 
 def _too_few(found: Identification) -> str:
-    """Say that the measurements are too few to contradict what is identified from them; "" if they are not."""
+    """Say that the measurements are too few to contradict what is identified from them; "" if they are not.
+
+    With poses held out in turn it does not matter: they contradict it, and tolerances hold what no row tells.
+    """
     measured = found.measurements
     rows = np.unique(np.column_stack([measured.pose_numbers, measured.observation_numbers]), axis=0, return_index=True)[
         1
@@ -173,7 +176,10 @@ def _too_few(found: Identification) -> str:
         return ""
     unknowns = found.rows.shape[2]
     counts = f"{len(measured)} rows give {equations} equations for {unknowns} unknowns and determine {determined}"
-    return f"{counts}: no redundancy remains to check the result"
+    return (
+        f"{counts}: no redundancy remains to check the result; measure more poses (calibration-plan --poses), or "
+        "identify fewer parameters (error-parameters --preset)"
+    )
 
 
 def _left_over(calibration: Fit) -> float:

@@ -11,7 +11,7 @@ import typer
 from pm3dof_pin.cli.calibrate import MethodName, TargetOffsets
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.options import Json, KnownWrenches, RobotErrorsOptions, finite_number
-from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
+from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
 
 if TYPE_CHECKING:
@@ -210,6 +210,11 @@ def calibration_plan(
     result |= {"method": method, "excess_tip_rms_by_poses_m": {str(n): value for n, value in found.excess.items()}}
     result |= {"accuracy_m": accuracy, "accuracy_reached": found.accurate}
     print_result(result, _lines(result), as_json=as_json, files=files)
+    if not found.can_be_checked:
+        message(
+            f"pm3dof: {result['poses']} poses leave nothing to check a calibration by, which will be refused: plan "
+            "more (--poses), or identify fewer parameters (error-parameters --preset, then --errors)"
+        )
 
 
 def _draw(problem: PlanningProblem, minimum: int, path: Path, formats: list[PictureFormat] | None) -> list[Path]:

@@ -24,6 +24,8 @@ PresetName: TypeAlias = Literal[
     "complete", "dh", "zeros-only", "firmware-delta-6", "firmware-delta-7", "firmware-delta-9"
 ]
 """Sets of error parameters by name."""
+ProcessName: TypeAlias = Literal["fine", "medium", "coarse", "very-coarse"]
+"""Classes of ISO 2768-1."""
 
 _SHOWN = 10
 _LISTED = 3
@@ -39,6 +41,10 @@ def error_parameters(
         PresetName | None,
         typer.Option(help="Write a set by name to --out instead: as people parametrise machines."),
     ] = None,
+    process: Annotated[
+        ProcessName | None,
+        typer.Option(help="Tolerances of parts by their size, as ISO 2768-1 has them; with --preset complete or dh."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """List a robot's geometric errors and find a minimal complete set of error parameters.
@@ -47,8 +53,10 @@ def error_parameters(
     that the robot's error file declares come first.
     """
     if preset is not None:
-        _write_preset(which, preset, out, as_json=as_json)
+        _write_preset(which, preset, process, out, as_json=as_json)
         return
+    if process is not None:
+        raise typer.BadParameter("--process needs --preset complete or --preset dh")
     file = find_robot(which.path, which.package_path or ()).errors
     loaded = which.load_errors()
     declared = loaded if file.is_file() else None
@@ -92,15 +100,18 @@ def error_parameters(
     print_result(result, _described(result, entries), as_json=as_json)
 
 
-def _write_preset(which: RobotOptions, name: PresetName, out: Path | None, *, as_json: bool) -> None:
+def _write_preset(
+    which: RobotOptions, name: PresetName, process: ProcessName | None, out: Path | None, *, as_json: bool
+) -> None:
     from pm3dof_pin.errors.presets import preset
 
     if out is None:
         raise typer.BadParameter("--preset needs --out: the error file to write")
     robot = which.load()
-    entries, ties = preset(robot, name)
+    entries, ties = preset(robot, name, process)
+    made = "" if process is None else f", parts made to ISO 2768-1, {process}"
     comment = (
-        f"Geometric errors of {robot.name}, for calibration: preset {name}.\n"
+        f"Geometric errors of {robot.name}, for calibration: preset {name}{made}.\n"
         "Directions are in each joint's or frame's own axes. Tolerances are standard deviations: set them for your "
         "machine."
     )
@@ -110,7 +121,7 @@ def _write_preset(which: RobotOptions, name: PresetName, out: Path | None, *, as
         {"name": p.name, "class": p.group, "unit": p.unit, "tolerance": p.tolerance} for p in errors.parameters
     ]
     result = {"robot": robot.name, "preset": name, "parameters": parameters, "file": str(out)}
-    lines = [f"{robot.name}: {len(errors)} parameters, preset {name}", f"wrote {out}"]
+    lines = [f"{robot.name}: {len(errors)} parameters, preset {name}{made}", f"wrote {out}"]
     print_result(result, lines, as_json=as_json)
 
 

@@ -25,6 +25,7 @@ import pinocchio as pin
 from pm3dof_pin.description.error_file import AXES, ErrorEntry, TiedEntry
 from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
 from pm3dof_pin.errors.minimal_parameters import error_entries, kind_of, minimal_parameters, poses_needed
+from pm3dof_pin.errors.part_tolerances import Process, with_process
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -40,20 +41,30 @@ _TOWER, _ARM = 3e-3, 1e-3  # tolerances of a printer's tower and arm [m]
 _ALIGNED = 0.999
 
 
-def preset(robot: Robot, name: Preset) -> tuple[tuple[ErrorEntry, ...], tuple[TiedEntry, ...]]:
+def preset(
+    robot: Robot, name: Preset, process: Process | None = None
+) -> tuple[tuple[ErrorEntry, ...], tuple[TiedEntry, ...]]:
     """Return the entries and ties of an error file by the name of a preset.
+
+    Args:
+        robot: the robot.
+        name: the preset.
+        process: how the parts are made, for `complete` and `dh`; see :mod:`pm3dof_pin.errors.part_tolerances`.
 
     Raises:
         InvalidValueError: no such preset, or the robot is not of its kind.
     """
     if name not in PRESETS:
         raise InvalidValueError("preset", name, f"one of {', '.join(PRESETS)}")
+    if process is not None and name not in ("complete", "dh"):
+        raise InvalidValueError("process", process, f"only with the presets complete and dh, not {name}")
     if name == "zeros-only":
         return _zeros(robot), ()
     if name in ("complete", "dh"):
         if name == "dh" and robot.has_loops:
             raise InvalidValueError("preset", name, f"a serial arm; {robot.name} has closed loops: take complete")
-        return error_entries(with_free_zeros(_complete(robot))), ()
+        found = with_free_zeros(_complete(robot))
+        return error_entries(found if process is None else with_process(found, process)), ()
     return (), _firmware(robot, int(name[-1]))
 
 
