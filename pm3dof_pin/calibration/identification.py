@@ -36,6 +36,7 @@ _MAX_STEPS = 50
 _SMALL_STEP = 1e-6  # change of the residuals by a step, in units of their sigma
 _STUCK = 1e-4  # the same, for a step that only rounding keeps from shrinking further
 _NEAR = 1.0  # the same, below which the minimum is kept
+_SEARCHING = 10  # steps after which the minimum is kept however long they are: the noise has two fits, if rows are few
 _BELIEVED = 4.0  # weight of the tolerances' own value, as a number of parameters
 
 
@@ -322,7 +323,7 @@ def identify(
         poses = _poses_at(errors.apply(start.values), measurements, poses.q)
     for step in range(1, _MAX_STEPS + 1):
         linear = Linearisation.at(measurements, errors, elastic, nuisances, prior, poses, x)
-        fit = linear.robust(loss, fit if previous < _NEAR else None)
+        fit = linear.robust(loss, fit if previous < _NEAR or step > _SEARCHING else None)
         length = float(np.abs(linear.rows @ (fit.x - x)).max())
         x = fit.x
         if frame.size:

@@ -77,6 +77,9 @@ def calibrate(
         list[PictureFormat] | None,
         typer.Option("--format", help="Also write the report's pictures as files in this format; may be repeated."),
     ] = None,
+    bed_mesh: Annotated[
+        bool, typer.Option("--bed-mesh", help="printer.cfg: also write what no parameter can express as a bed mesh.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Calibrate a machine from measurements: parameters, corrections, a calibrated URDF and a report.
@@ -84,7 +87,7 @@ def calibrate(
     Or a delta printer from touches of its bed: FILE is Klipper's printer.cfg, or a log with M665, M666 and G30.
     """
     if file.suffix.lower() in _FIRMWARE:
-        _calibrate_printer(file, out, force=force, as_json=as_json)
+        _calibrate_printer(file, out, bed_mesh=bed_mesh, force=force, as_json=as_json)
         return
     from pm3dof_pin.calibration.calibrate import Options
     from pm3dof_pin.calibration.calibrate import calibrate as calibrate_machine
@@ -115,10 +118,10 @@ def calibrate(
     message(f"wrote {folder}, report in {folder / REPORT}")
 
 
-def _calibrate_printer(file: Path, out: Path, *, force: bool, as_json: bool) -> None:
+def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as_json: bool) -> None:
     from pm3dof_pin.printers.printer_calibration import calibrate_printer
 
-    found = calibrate_printer(file, on_refusal="keep" if force else "raise")
+    found = calibrate_printer(file, bed_mesh=bed_mesh, on_refusal="keep" if force else "raise")
     folder = found.save(out)
     summary = found.summary()
     low, high = (1e6 * value for value in summary["height_error_held_out_95_percent_interval_m"])
@@ -131,6 +134,11 @@ def _calibrate_printer(file: Path, out: Path, *, force: bool, as_json: bool) -> 
         f"{1e6 * summary['height_error_held_out_rms_m']:.0f} µm after ({low:.0f} to {high:.0f} with 95 % probability)",
         *(f"not determined by these touches: {words}" for words in summary["not_determined"]),
     ]
+    if bed_mesh:
+        words = "included" if summary["bed_mesh"] else "none: it would predict touches held out no better"
+        lines.append(f"bed mesh: {words}")
+    if meshes := summary["meshes_to_be_probed_again"]:
+        lines.append(f"bed meshes probed with the old numbers, to be probed again: {', '.join(meshes)}")
     scales = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
     rows = []
     for name, change in summary["changes"].items():

@@ -245,7 +245,10 @@ class Export:
         wordy = frozenset(
             name
             for k, name in enumerate(headed)
-            if not known[k] and not name.removeprefix("sigma_").startswith("encoder_") and not _are_numbers(cells, k)
+            if not known[k]
+            and name not in needed
+            and not name.removeprefix("sigma_").startswith("encoder_")
+            and not _are_numbers(cells, k)
         )
         written = [""] * max([header_line, *cells, 1])
         for line, row in cells.items():

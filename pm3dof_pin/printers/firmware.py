@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
 from pm3dof_pin.printers.klipper import KlipperFile
 from pm3dof_pin.printers.m665 import GCodeLog
@@ -27,14 +28,22 @@ class FirmwareFile(Protocol):
     def most_parameters(self) -> int:
         """The greatest number of parameters that it can hold."""
 
+    @property
+    def takes_mesh(self) -> bool:
+        """Whether it can hold a mesh of heights of the bed."""
+
+    @property
+    def meshes(self) -> tuple[str, ...]:
+        """Names of the meshes that it holds."""
+
     def printer(self) -> DeltaPrinter:
         """Return the printer that it describes."""
 
     def touches(self, printer: DeltaPrinter) -> Touches:
         """Return the touches of the bed that it contains."""
 
-    def with_printer(self, printer: DeltaPrinter) -> str:
-        """Return the text of a file with another printer's numbers."""
+    def with_printer(self, printer: DeltaPrinter, mesh: BedMesh | None = None) -> str:
+        """Return the text of a file with another printer's numbers, and a mesh if it takes one."""
 
 
 def read_firmware(path: Path, text: str) -> FirmwareFile:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.printers.bed_mesh import POINTS, BedMesh
 from pm3dof_pin.printers.delta_printer import AXES, DeltaPrinter
 from pm3dof_pin.printers.touches import Touches
 from pm3dof_pin.typing import Array
@@ -26,6 +27,7 @@ _NOTE = "#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated."
 _SECTION, _OPTION = re.compile(r"\[([^\]]+)\]"), re.compile(r"([^:=\s][^:=]*?)\s*[:=]\s*(.*)")
 _ANGLES = {"delta": (210.0, 330.0, 90.0), "rotary_delta": (30.0, 150.0, 270.0)}
 _FULL_STEPS = 200.0
+_MESH = "bed_mesh default"
 
 
 @dataclass(frozen=True)
@@ -39,25 +41,35 @@ class KlipperFile:
 
     firmware = "Klipper"
     most_parameters = 9
+    takes_mesh = True
 
     @classmethod
     def parse(cls, path: Path, text: str) -> KlipperFile:
         """Read sections and options; later ones override earlier ones, and saved ones both."""
         above: dict[str, dict[str, str]] = {}
         saved: dict[str, dict[str, str]] = {}
-        lines, section = [], {True: "", False: ""}
+        lines, section, last = [], {True: "", False: ""}, ""
         for line in text.splitlines():
             is_saved = line.startswith(_SAVED)
             words = line[len(_SAVED) :].strip() if is_saved else line.split("#", 1)[0].rstrip()
+            if is_saved and last and words and line.removeprefix(f"{_SAVED} ").startswith((" ", "\t")):
+                saved[section[True]][last] += f"\n\t{words}"  # a row of a bed mesh
+                continue
             if not is_saved:
                 lines.append(line)
             table = saved if is_saved else above
             if found := _SECTION.match(words):
-                section[is_saved] = found[1].strip().lower()
+                section[is_saved], last = found[1].strip().lower(), ""
             elif (option := _OPTION.match(words)) and section[is_saved] and not words.startswith((" ", "\t")):
-                table.setdefault(section[is_saved], {})[option[1].strip().lower()] = option[2].strip()
+                last = option[1].strip().lower()
+                table.setdefault(section[is_saved], {})[last] = option[2].strip()
         names = {*above, *saved}
         return cls(path, tuple(lines), saved, {n: {**above.get(n, {}), **saved.get(n, {})} for n in names})
+
+    @property
+    def meshes(self) -> tuple[str, ...]:
+        """Names of its saved bed meshes, probed with the numbers that it has."""
+        return tuple(name.removeprefix("bed_mesh ") for name in self.saved if name.startswith("bed_mesh "))
 
     def printer(self) -> DeltaPrinter:
         """Return the printer.
@@ -112,8 +124,14 @@ class KlipperFile:
             raise MeasurementError(self.path, problem)
         return Touches.of(np.array(travels), np.array(heights), pairs)
 
-    def with_printer(self, printer: DeltaPrinter) -> str:
-        """Return the file with another printer's numbers in its saved block; their options above become comments."""
+    def with_printer(self, printer: DeltaPrinter, mesh: BedMesh | None = None) -> str:
+        """Return the file with another printer's numbers in its saved block; their options above become comments.
+
+        A mesh becomes the bed mesh `default`.
+
+        Raises:
+            MeasurementError: there is a mesh, and the file has no section [bed_mesh].
+        """
         written: dict[str, dict[str, float]] = {name: {} for name in ("printer", *(f"stepper_{a}" for a in AXES))}
         if printer.is_rotary:
             written["printer"] = {"shoulder_radius": printer.radius, "shoulder_height": printer.shoulder_height}
@@ -135,13 +153,20 @@ class KlipperFile:
         saved = {name: dict(values) for name, values in self.saved.items()}
         for name, values in written.items():
             saved[name] = {**saved.get(name, {}), **{option: f"{1e3 * value:.6f}" for option, value in values.items()}}
+        if mesh is not None:
+            if "bed_mesh" not in self.options:
+                raise MeasurementError(self.path, "no section [bed_mesh], without which Klipper reads no mesh")
+            saved[_MESH] = _mesh_options(mesh)
         while lines and not lines[-1].strip():
             lines.pop()
         block = [_START, _NOTE, _SAVED]
         for name in [*written, *(name for name in saved if name not in written)]:
             block += [
                 f"{_SAVED} [{name}]",
-                *(f"{_SAVED} {option} = {value}" for option, value in saved[name].items()),
+                *(
+                    f"{_SAVED} {option} = {value}".replace("\n", f"\n{_SAVED} ")
+                    for option, value in saved[name].items()
+                ),
                 _SAVED,
             ]
         return "\n".join([*lines, "", *block[:-1], ""])
@@ -208,6 +233,17 @@ class KlipperFile:
         if not math.isfinite(value):
             raise MeasurementError(self.path, f"[{section}] {option}: expected a number, not '{word}'")
         return value
+
+
+def _mesh_options(mesh: BedMesh) -> dict[str, str]:
+    rows = "".join("\n\t  " + ", ".join(f"{1e3 * height:.6f}" for height in row) for row in mesh.grid().tolist())
+    ends = {
+        f"{end}_{axis}": f"{sign * 1e3 * mesh.radius:.3f}" for axis in "xy" for end, sign in (("min", -1), ("max", 1))
+    }
+    sizes = {name: str(POINTS) for name in ("x_count", "y_count")} | {
+        name: "2" for name in ("mesh_x_pps", "mesh_y_pps")
+    }
+    return {"version": "1", "points": rows} | sizes | {"algo": "bicubic", "tension": "0.2"} | ends
 
 
 def _triple(values: list[float]) -> tuple[float, float, float]:

@@ -1,8 +1,9 @@
 """Logs of RepRapFirmware and Marlin: M665 and M666, and heights of the bed that were probed with G30.
 
-Both place the towers X, Y, Z at 210, 330 and 90 degrees, corrected by the X, Y, Z of M665 (Marlin also trims
-each arm by A, B, C, which are refused unless they are 0). The nozzle is at the height H when homed, corrected by M666
-in RepRapFirmware; Marlin's M666 says how far each carriage moves back from its end stop, which is higher by as much.
+Both place the towers X, Y, Z at 210, 330 and 90 degrees, corrected by the X, Y, Z of M665. Arms of several lengths are
+L100:101:102 in RepRapFirmware, and L with the trims A, B, C in Marlin. The nozzle is at the height H when homed,
+corrected by M666 in RepRapFirmware; Marlin's M666 says how far each carriage moves back from its end stop, which is
+higher by as much. RepRapFirmware's A and B of M666 are slopes of the bed along x and y [%], which are kept.
 
 A probed height h at (x, y) means that the printer, as it was, took the nozzle to be at (x, y, h) when it touched the
 bed. Marlin writes "Bed X: 10.0 Y: 20.0 Z: 0.12"; for RepRapFirmware the G30 P... X... Y... lines of bed.g are paired
@@ -20,16 +21,19 @@ from typing import Literal
 import numpy as np
 
 from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
 from pm3dof_pin.printers.touches import Touches
 
 _NUMBER = r"-?\d+(?:\.\d*)?|-?\.\d+"
 _WORD = re.compile(rf"([A-Z])\s*({_NUMBER})")
+_ARMS = re.compile(rf"L\s*((?:{_NUMBER})(?:\s*:\s*(?:{_NUMBER}))*)")
 _MARLIN = re.compile(rf"Bed X:\s*({_NUMBER})\s*Y:\s*({_NUMBER})\s*Z:\s*({_NUMBER})")
 _HEIGHTS = re.compile(rf"bed probe heights:\s*((?:(?:{_NUMBER})[\s,]*)+)", re.IGNORECASE)
 _POINT = re.compile(r"\bG30\b[^;]*\bP\s*\d+[^;]*")
 _TOWERS = (210.0, 330.0, 90.0)
-_LETTERS = "XYZ"
+_LETTERS, _TRIMS = "XYZ", "ABC"
+_SAME = 5e-5  # [mm], of what is written
 
 
 @dataclass(frozen=True)
@@ -39,22 +43,28 @@ class GCodeLog:
     path: Path  #: the file
     firmware: Literal["RepRapFirmware", "Marlin"]  #: whose it is
     geometry: dict[str, float]  #: the last M665 [mm, degrees]
-    stops: dict[str, float]  #: the last M666 [mm]
+    arms: tuple[float, ...]  #: its L, one length or that of each tower [mm]
+    stops: dict[str, float]  #: the last M666 [mm, %]
     probed: tuple[tuple[float, float, float], ...]  #: points and heights [mm]
+
+    takes_mesh = False
+    meshes = ()
 
     @property
     def most_parameters(self) -> int:
-        """One arm length only."""
-        return 7
+        """Each tower's arms have a length of their own."""
+        return 9
 
     @classmethod
     def parse(cls, path: Path, text: str) -> GCodeLog:
         """Read the last M665 and M666, and all heights after them.
 
         Raises:
-            MeasurementError: the heights and the points of RepRapFirmware are not as many.
+            MeasurementError: the heights and the points of RepRapFirmware are not as many, or M665 has neither one arm
+                length nor three.
         """
         geometry: dict[str, float] = {}
+        arms: tuple[float, ...] = ()
         stops: dict[str, float] = {}
         points: list[tuple[float, float]] = []
         probed: list[tuple[float, float, float]] = []
@@ -63,11 +73,11 @@ class GCodeLog:
             code = line.split(";", 1)[0]
             words = {letter: float(value) for letter, value in _WORD.findall(code.upper())}
             if "M665" in code:
-                if re.search(r"L[^A-Z]*:", code.upper()):
-                    raise MeasurementError(
-                        path, "M665 L with a length for each tower: not supported, arms must be equal"
-                    )
                 geometry |= words
+                if lengths := _ARMS.search(code.upper()):
+                    arms = tuple(float(length) for length in lengths[1].split(":"))
+                    if len(arms) not in (1, 3):
+                        raise MeasurementError(path, f"M665 L has {len(arms)} lengths; expected one, or one a tower")
                 probed = []
             elif "M666" in code:
                 stops |= words
@@ -82,23 +92,22 @@ class GCodeLog:
                 probed += [(x, y, height) for (x, y), height in zip(points, heights, strict=True)]
             elif _POINT.search(code) and {"X", "Y"} <= set(words):
                 points.append((words["X"], words["Y"]))
-        return cls(path, firmware, geometry, stops, tuple(probed))
+        return cls(path, firmware, geometry, arms, stops, tuple(probed))
 
     def printer(self) -> DeltaPrinter:
         """Return the printer.
 
         Raises:
-            MeasurementError: a number is missing, or the arms have trims of their own.
+            MeasurementError: a number is missing.
         """
         if missing := [letter for letter in "LRH" if letter not in self.geometry]:
             raise MeasurementError(self.path, f"M665 without {', '.join(missing)}")
-        if self.firmware == "Marlin" and any(self.geometry.get(letter, 0.0) for letter in "ABC"):
-            raise MeasurementError(self.path, "M665 A, B, C: arms with trims of their own are not supported")
         angles = [math.radians(tower + self.geometry.get(a, 0.0)) for tower, a in zip(_TOWERS, _LETTERS, strict=True)]
         stops = [1e-3 * (self.geometry["H"] + self._sign * self.stops.get(letter, 0.0)) for letter in _LETTERS]
-        arm = 1e-3 * self.geometry["L"]
-        (a, b, c), (x, y, z) = angles, stops
-        return DeltaPrinter(1e-3 * self.geometry["R"], (a, b, c), (arm, arm, arm), (x, y, z))
+        trims = [self.geometry.get(letter, 0.0) if self.firmware == "Marlin" else 0.0 for letter in _TRIMS]
+        arms = [1e-3 * (self.arms[k % len(self.arms)] + trim) for k, trim in enumerate(trims)]
+        (a, b, c), (x, y, z), (one, two, three) = angles, stops, arms
+        return DeltaPrinter(1e-3 * self.geometry["R"], (a, b, c), (one, two, three), (x, y, z))
 
     def touches(self, printer: DeltaPrinter) -> Touches:
         """Return the touches of the bed: where the printer's drives were, at a height of 0.
@@ -110,21 +119,30 @@ class GCodeLog:
             raise MeasurementError(
                 self.path, "no heights of the bed after M665: Bed X: .. Y: .. Z: .., or bed probe heights"
             )
-        travels = printer.drives(1e-3 * np.array(self.probed)) - printer.at_end_stops
-        return Touches.of(travels, np.zeros(len(travels)))
+        points = 1e-3 * np.array(self.probed)
+        slope = [0.01 * self.stops.get(letter, 0.0) if self._sign > 0.0 else 0.0 for letter in "AB"]
+        bed = points[:, :2] @ slope  # its height where the drives' frame is level
+        travels = printer.drives(points + bed[:, None] * [0.0, 0.0, 1.0]) - printer.at_end_stops
+        return Touches.of(travels, bed)
 
-    def with_printer(self, printer: DeltaPrinter) -> str:
+    def with_printer(self, printer: DeltaPrinter, mesh: BedMesh | None = None) -> str:
         """Return M665 and M666 with another printer's numbers."""
         stops = 1e3 * np.array(printer.end_stops)
         height = float(stops.mean() if self._sign > 0.0 else stops.min())
         angles = [math.degrees(angle) - tower for angle, tower in zip(printer.angles, _TOWERS, strict=True)]
         turned = " ".join(f"{letter}{angle:.4f}" for letter, angle in zip(_LETTERS, angles, strict=True))
-        bed = f" B{self.geometry['B']:g}" if "B" in self.geometry else ""
-        size = f"L{1e3 * printer.arms[0]:.4f} R{1e3 * printer.radius:.4f} H{height:.4f}"
+        arms, trims, kept = 1e3 * np.array(printer.arms), "", ""
+        length = ":".join(f"{arm:.4f}" for arm in (arms if np.ptp(arms) > _SAME else arms[:1]))
+        if self.firmware == "Marlin":
+            length = f"{arms.mean():.4f}"
+            trims = "".join(f" {a}{arm - arms.mean():.4f}" for a, arm in zip(_TRIMS, arms, strict=True))
+        else:
+            trims = f" B{self.geometry['B']:g}" if "B" in self.geometry else ""
+            kept = "".join(f" {letter}{self.stops[letter]:g}" for letter in "AB" if letter in self.stops)
         own = " ".join(
             f"{letter}{self._sign * (stop - height):.4f}" for letter, stop in zip(_LETTERS, stops.tolist(), strict=True)
         )
-        return f"M665 {size}{bed} {turned}\nM666 {own}\n"
+        return f"M665 L{length} R{1e3 * printer.radius:.4f} H{height:.4f}{trims} {turned}\nM666 {own}{kept}\n"
 
     @property
     def _sign(self) -> float:

@@ -7,8 +7,9 @@ lengths of arms hardly: an error of all arms hides behind radius and end stops.
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,10 +18,12 @@ import scipy.special
 import yaml
 
 from pm3dof_pin.calibration.identification import Identification, identify
+from pm3dof_pin.calibration.linearisation import Loss
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import (
     CalibrationRefusedError,
     ConvergenceError,
+    MeasurementError,
     OutputError,
     SingularConfigurationError,
     UnreachablePoseError,
@@ -28,6 +31,7 @@ from pm3dof_pin.exceptions import (
 from pm3dof_pin.files import read_text, replace_directory, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
 from pm3dof_pin.printers.firmware import FirmwareFile, read_firmware
 from pm3dof_pin.printers.touches import Touches
@@ -35,7 +39,8 @@ from pm3dof_pin.typing import Array
 
 _FOLDS = 10
 _FAILURES = (ConvergenceError, SingularConfigurationError, UnreachablePoseError)
-_ROBUST = 3  # touches a parameter from which outliers are given less weight
+_ROBUST = 3  # touches a parameter from which outliers can be told
+_OUTLIER = 6.0  # times the median size of held-out errors: one in 20,000 normal ones
 _PROBABILITIES = np.array([0.025, 0.975])
 _SUMMARY = "calibration.yaml"
 
@@ -45,7 +50,14 @@ class Choice:
     """A set of the firmware's parameters, and its errors at touches held out."""
 
     count: int  #: number of parameters
-    held_out: Array  #: height minus prediction of each touch, fitted without it, shape=(touches,) [m]
+    loss: Loss  #: of the fits
+    folds: Array  #: fold of each touch, shape=(touches,)
+    left_over: Array  #: height minus prediction of all touches by each fit without a fold, shape=(folds, touches) [m]
+
+    @property
+    def held_out(self) -> Array:
+        """Height minus prediction of each touch, fitted without it, shape=(touches,) [m]."""
+        return np.asarray(self.left_over[self.folds, np.arange(len(self.folds))])
 
     @property
     def mean_square(self) -> float:
@@ -67,11 +79,17 @@ class PrinterCalibration:
     heights_before: Array  #: touched heights minus those of the printer as it was, shape=(touches,) [m]
     heights_after: Array  #: the same of the calibrated printer [m]
     undetermined: tuple[str, ...]  #: combinations of all of the firmware's parameters that the touches do not determine
+    mesh: BedMesh | None = None  #: what no parameter can express, if asked for and seen by the touches
+
+    @property
+    def held_out(self) -> Array:
+        """Errors at touches held out, of the parameters taken and the mesh, if there is one, shape=(touches,) [m]."""
+        return self.chosen.held_out if self.mesh is None else self.mesh.held_out
 
     @property
     def interval(self) -> tuple[float, float]:
         """Interval of the root mean square of the held-out errors, with a probability of 95 % [m]."""
-        squares = self.chosen.held_out**2
+        squares = self.held_out**2
         spread = float(np.var(squares) / len(squares))
         mean = float(np.mean(squares))
         freedom = 2.0 * mean**2 / max(spread, np.finfo(float).tiny)
@@ -81,7 +99,7 @@ class PrinterCalibration:
     @property
     def gain(self) -> float:
         """Height errors of the printer as it was relative to held-out ones of the calibrated printer, rms."""
-        return _rms(self.heights_before) / _rms(self.chosen.held_out)
+        return _rms(self.heights_before) / _rms(self.held_out)
 
     def summary(self) -> dict[str, Any]:
         """Return what was found as plain data; keys end in their unit."""
@@ -95,8 +113,10 @@ class PrinterCalibration:
             "held_out_rms_m": {str(choice.count): _rms(choice.held_out) for choice in self.choices},
             "height_error_before_rms_m": _rms(self.heights_before),
             "height_error_after_rms_m": _rms(self.heights_after),
-            "height_error_held_out_rms_m": _rms(self.chosen.held_out),
+            "height_error_held_out_rms_m": _rms(self.held_out),
             "height_error_held_out_95_percent_interval_m": list(self.interval),
+            "bed_mesh": self.mesh is not None,
+            "meshes_to_be_probed_again": [name for name in self.file.meshes if self.mesh is None or name != "default"],
             "gain": self.gain,
             "not_determined": list(self.undetermined),
             "changes": {
@@ -117,7 +137,7 @@ class PrinterCalibration:
                 Path(directory), "holds the printer's own file, which is not replaced: choose another folder"
             )
         with replace_directory(directory, _SUMMARY) as folder:
-            write_text_atomically(folder / self.file.path.name, self.file.with_printer(self.after))
+            write_text_atomically(folder / self.file.path.name, self.file.with_printer(self.after, self.mesh))
             text = yaml.safe_dump(self.summary(), sort_keys=False, width=120, allow_unicode=True)
             write_text_atomically(folder / _SUMMARY, text)
             for end, text in self.after.files(self.chosen.count).items():
@@ -125,20 +145,25 @@ class PrinterCalibration:
         return Path(directory)
 
 
-def calibrate_printer(path: Path | str, *, on_refusal: Literal["raise", "keep"] = "raise") -> PrinterCalibration:
+def calibrate_printer(
+    path: Path | str, *, bed_mesh: bool = False, on_refusal: Literal["raise", "keep"] = "raise"
+) -> PrinterCalibration:
     """Calibrate a delta printer from the file of its firmware.
 
     Args:
         path: Klipper's printer.cfg with saved touches, or a log of M665, M666 and touches of the bed of RepRapFirmware
             or Marlin.
+        bed_mesh: whether what no parameter can express becomes a bed mesh; Klipper only.
         on_refusal: "raise", or "keep" to return a calibration that does not predict touches better than the printer's
             own numbers: these may have been fitted to the same touches.
 
     Raises:
-        MeasurementError: the file has no delta printer, or no touches.
-        CalibrationRefusedError: too few touches, or the result would not be better.
+        MeasurementError: the file has no delta printer, or no touches, or takes no bed mesh.
+        CalibrationRefusedError: too few touches, or neither the result nor a mesh would be better.
     """
     file = read_firmware(Path(path), read_text(Path(path)))
+    if bed_mesh and not file.takes_mesh:
+        raise MeasurementError(Path(path), f"a bed mesh is written for Klipper only, not for {file.firmware}")
     before = file.printer()
     touches = file.touches(before)
     least = before.counts[0]
@@ -147,14 +172,14 @@ def calibrate_printer(path: Path | str, *, on_refusal: Literal["raise", "keep"] 
             [f"{len(touches)} touches for {least} parameters: touch at least {least + 1} points"]
         )
     sets = {count: _errors(before, count) for count in before.counts if count <= file.most_parameters}
-    choices = [Choice(count, _held_out(touches, errors)) for count, errors in sets.items()]
+    choices = [_held_out(touches, errors, count) for count, errors in sets.items()]
     best = min(choices, key=lambda choice: choice.mean_square)
     if not np.isfinite(best.mean_square):
         cause = "no printer near these numbers fits the touches: numbers, sizes of steps or touches are wrong"
         raise CalibrationRefusedError([cause])
     limit = best.mean_square + float(np.std(best.held_out**2) / np.sqrt(len(touches)))
     chosen = next(choice for choice in choices if choice.mean_square <= limit)
-    found = _fit(touches.measurements(), sets[chosen.count])
+    found = _fit(touches.measurements(), sets[chosen.count], chosen.loss)
     after = before.displaced(found.errors.named(found.values))
     everything = sets[max(sets)]
     result = PrinterCalibration(
@@ -167,10 +192,13 @@ def calibrate_printer(path: Path | str, *, on_refusal: Literal["raise", "keep"] 
         found,
         touches.heights - _heights(touches, everything.robot),
         touches.heights - _heights(touches, found.errors.apply(found.values)),
-        _fit(touches.measurements(), everything).identifiability.unidentified,
+        _fit(touches.measurements(), everything, chosen.loss).identifiability.unidentified,
     )
+    if bed_mesh:
+        places = found.errors.apply(found.values).forward(touches.travels).positions[:, :2]
+        result = replace(result, mesh=BedMesh.fitted(places, -result.heights_after, -chosen.left_over, chosen.folds))
     if not result.gain > 1.0 and on_refusal == "raise":
-        own, new = (1e6 * _rms(values) for values in (result.heights_before, chosen.held_out))
+        own, new = (1e6 * _rms(values) for values in (result.heights_before, result.held_out))
         text = (
             f"touches held out would be off by {new:.2g} µm, and with the printer's own numbers by {own:.2g} µm: it is "
             "calibrated as well as these touches tell"
@@ -186,25 +214,32 @@ def _errors(printer: DeltaPrinter, count: int) -> GeometricErrors:
         return GeometricErrors.load(Path(folder) / "printer.urdf")
 
 
-def _fit(measurements: Measurements, errors: GeometricErrors) -> Identification:
-    few = len(measurements) < _ROBUST * len(errors)  # too few to tell an outlier
-    return identify(measurements, errors, prior=1.0, loss="squares" if few else "tukey")
+def _fit(measurements: Measurements, errors: GeometricErrors, loss: Loss) -> Identification:
+    return identify(measurements, errors, prior=1.0, loss=loss)
 
 
-def _held_out(touches: Touches, errors: GeometricErrors) -> Array:
-    """Return the errors of touches predicted without them."""
+def _folds(touches: Touches) -> Array:
     count = len(touches)
-    folds = np.random.default_rng(0).permutation(np.arange(count) % min(_FOLDS, count))
-    errors_at = np.zeros(count)
-    for fold in range(int(folds.max()) + 1):
-        shown, hidden = np.flatnonzero(folds != fold), np.flatnonzero(folds == fold)
-        try:
-            found = _fit(touches.measurements(shown), errors)
-            reached = found.errors.apply(found.values).forward(touches.travels[hidden]).positions
-            errors_at[hidden] = touches.heights[hidden] - reached[:, 2]
-        except _FAILURES:
-            errors_at[hidden] = np.inf
-    return errors_at
+    return np.asarray(np.random.default_rng(0).permutation(np.arange(count) % min(_FOLDS, count)))
+
+
+def _held_out(touches: Touches, errors: GeometricErrors, count: int) -> Choice:
+    """Return a set of parameters; fitted robustly if some touch is an outlier and others are then predicted better."""
+    found = _with_loss(touches, errors, count, "squares")
+    sizes = np.abs(found.held_out)
+    if len(touches) < _ROBUST * len(errors) or sizes.max() < _OUTLIER * np.median(sizes):
+        return found
+    return min(found, _with_loss(touches, errors, count, "tukey"), key=lambda choice: choice.mean_square)
+
+
+def _with_loss(touches: Touches, errors: GeometricErrors, count: int, loss: Loss) -> Choice:
+    folds = _folds(touches)
+    left_over = np.full((int(folds.max()) + 1, len(touches)), np.inf)
+    for fold in range(len(left_over)):
+        with contextlib.suppress(*_FAILURES):
+            found = _fit(touches.measurements(np.flatnonzero(folds != fold)), errors, loss)
+            left_over[fold] = touches.heights - _heights(touches, found.errors.apply(found.values))
+    return Choice(count, loss, folds, left_over)
 
 
 def _heights(touches: Touches, robot: Robot) -> Array:

@@ -208,6 +208,9 @@ def _replace_by_no_file(file: Path, generator: random.Random) -> None:
             file.touch(mode=0)
 
 
+_SAMPLES = ("export", "join", "klipper", "reprapfirmware", "marlin", "acceptance", "history")
+
+
 class Input:
     """A kind of input: folders of valid files, the file to damage, and its reader.
 
@@ -321,13 +324,136 @@ def _read_calibration(folder: Path) -> None:
     _require((answer.predicted_error < 1.0).all(), f"predicted error {answer.predicted_error}")
 
 
-def inputs(calibrations: Sequence[Path] = ()) -> dict[str, Input]:
+def _read_export(folder: Path) -> None:
+    import numpy as np
+
+    from pm3dof_pin.kinematics.robot import load
+    from pm3dof_pin.measuring.export_file import ColumnMap
+    from pm3dof_pin.measuring.file_check import FileCheck
+    from pm3dof_pin.measuring.measurement_file import read_measurements
+
+    robot, file = load("pm3dof"), next(folder.glob("*.csv"))
+    columns = ColumnMap.load(folder / "columns.yaml")
+    found = read_measurements(file, robot, columns=columns)
+    _require(np.isfinite(found.commands).all() and np.abs(found.positions).max() < 10.0, "measurements")
+    FileCheck.read(file, robot, columns=columns).as_data()
+
+
+def _read_join(folder: Path) -> None:
+    import numpy as np
+
+    from pm3dof_pin.kinematics.robot import load
+    from pm3dof_pin.measuring.joining import join
+
+    joined = join(folder / "log.csv", folder / "tracker.csv", load("pm3dof"))
+    rows = np.column_stack(list(joined.columns.values()))
+    _require(np.isfinite(rows[:, :3]).all() and joined.greatest_gap <= 0.05, "joined rows")
+
+
+def _read_printer(folder: Path) -> None:
+    import numpy as np
+
+    from pm3dof_pin.files import read_text
+    from pm3dof_pin.printers.firmware import read_firmware
+
+    path = next(folder.glob("printer.*"))
+    file = read_firmware(path, read_text(path))
+    printer = file.printer()
+    touches = file.touches(printer)
+    _require(np.isfinite(touches.travels).all() and np.isfinite(touches.heights).all(), "touches")
+    again = read_firmware(path, file.with_printer(printer) + ("Bed X:0 Y:0 Z:0" * (file.firmware == "Marlin")))
+    _require(np.allclose(again.printer().end_stops, printer.end_stops, atol=1e-6), "a file that reads otherwise")
+
+
+def _read_about(folder: Path) -> None:
+    from pm3dof_pin.calibration.certificate import Certificate
+
+    data = Certificate.make(folder / "calibration", folder / "about.yaml").data
+    json.dumps(data, allow_nan=False)
+
+
+def _read_acceptance(folder: Path) -> None:
+    import numpy as np
+
+    from pm3dof_pin.calibration.acceptance import AcceptanceResult, evaluate_acceptance
+
+    result = evaluate_acceptance("positioning", folder / "positioning.csv")
+    _require(np.isfinite(list(result.values.values())).all(), f"results {result.values}")
+    AcceptanceResult.read(folder / "acceptance.json")
+
+
+def _read_history(folder: Path) -> None:
+    from pm3dof_pin.calibration.recheck import read_history
+
+    _require(all(isinstance(entry, dict) for entry in read_history(folder)), "history")
+
+
+def write_samples(above: Path) -> Path:
+    """Write small valid files of kinds that the repository has none of, a folder for each, and return the folder."""
+    import numpy as np
+
+    from pm3dof_pin.kinematics.robot import load
+
+    texts: dict[str, str] = {}
+    robot = load("pm3dof")
+    poses = robot.solve(robot.grid(z_e=(0.46, 0.54, 12)).values)
+    rows = np.column_stack([poses.commands, 1e3 * poses.positions])
+    lines = [";".join(f"{number:.6f}".replace(".", ",") for number in row) for row in rows]
+    texts["export/export.csv"] = "Tracker;SN 7\nAxis 1;Axis 2;Axis 3;X [mm];Y [mm];Z [mm];Time\n" + "".join(
+        f"{line};2026-03-29T23:59:{48 + k}Z\n" for k, line in enumerate(lines)
+    )
+    texts["export/columns.yaml"] = (
+        "profile: spatialanalyzer\ncolumns: {Axis 1: u1_m, Axis 2: u2_m, Axis 3: u3_m, Time: time_s}\n"
+        "skip: 1\nseparator: ';'\ndecimal: ','\nencoding: utf-8\nangles: fixed xyz\n"
+    )
+    texts["join/log.csv"] = "time_s,u1_m,u2_m,u3_m\n" + "".join(
+        f"{k},{','.join(map(repr, row))}\n" for k, row in enumerate(poses.commands.tolist())
+    )
+    texts["join/tracker.csv"] = "Time [s],X [mm],Y [mm],Z [mm]\n" + "".join(
+        f"{k}.01,{','.join(map(repr, row))}\n" for k, row in enumerate((1e3 * poses.positions).tolist())
+    )
+    stepper = "[stepper_{}]\nmicrosteps: 16\nrotation_distance: 40\ngear_ratio: 2:1\n"
+    config = stepper.format("a") + "position_endstop: 245\narm_length: 270\nangle: 210\n" + stepper.format("b")
+    config += stepper.format("c") + "[printer]\nkinematics: delta\ndelta_radius: 130\n\n"
+    config += "#*# <---------------------- SAVE_CONFIG ---------------------->\n#*# [delta_calibrate]\n"
+    for k, steps in enumerate(np.random.default_rng(0).integers(30000, 40000, (8, 3)).tolist()):
+        config += f"#*# height{k} = 0.0\n#*# height{k}_pos = {','.join(map(str, steps))}.000\n"
+    config += "#*# [bed_mesh default]\n#*# version = 1\n#*# points =\n#*# \t  0.1, 0.2\n#*# \t  0.3, 0.4\n"
+    texts["klipper/printer.cfg"] = config
+    points = [(60.0 * np.cos(angle), 60.0 * np.sin(angle)) for angle in np.arange(8)]
+    bed = "".join(f"G30 P{k} X{x:.3f} Y{y:.3f} Z-99999\n" for k, (x, y) in enumerate(points))
+    texts["reprapfirmware/printer.g"] = (
+        f"M665 L215:215.2:214.9 R105 B85 H240 X0.1 Y0 Z0\nM666 X0.1 Y-0.2 Z0 A0.1 B0\n{bed}"
+        "G32 bed probe heights: 0.1 0.2 0.05 -0.1 0.0 0.1 0.02 0.3, mean 0.1, deviation from mean 0.1\n"
+    )
+    texts["marlin/printer.log"] = "M665 L215 R105 H240 X0.1 Y0 Z0 A0.1 B0 C-0.1\nM666 X-0.1 Y0 Z-0.3\n" + "".join(
+        f"Bed X: {x:.2f} Y: {y:.2f} Z: {0.01 * k:.2f}\n" for k, (x, y) in enumerate(points)
+    )
+    texts["acceptance/positioning.csv"] = "target_m,direction,deviation_m\n" + "".join(
+        f"{0.1 * target:.2f},{side},{1e-6 * (3 * target + side + run):.7f}\n"
+        for run in range(3)
+        for side in (1, -1)
+        for target in range(5)
+    )
+    numbers = {"A": 1e-5, "B": 2e-6}
+    result = {"test": "positioning", "readings": 30, "results_m": numbers, "test_uncertainties_k2_m": numbers}
+    texts["acceptance/acceptance.json"] = json.dumps(result)
+    texts["history/history.jsonl"] = '{"verdict": "unchanged", "risk": 0.01}\n{"verdict": "re-zero", "risk": 0.2}\n'
+    for name, text in texts.items():
+        (above / name).parent.mkdir(parents=True, exist_ok=True)
+        (above / name).write_text(text, encoding="utf-8")
+    return above
+
+
+def inputs(calibrations: Sequence[Path] = (), samples: Path | None = None) -> dict[str, Input]:
     """Return the kinds of input, by name.
 
     Args:
-        calibrations: folders, each named as its robot, with plan.csv, measurements.csv and a folder `calibration`;
-            without any, these kinds are omitted.
+        calibrations: folders, each named as its robot, with plan.csv, measurements.csv, about.yaml and a folder
+            `calibration`; without any, these kinds are omitted.
+        samples: what :func:`write_samples` wrote; without it, these kinds are omitted.
     """
+    of = {name: [] if samples is None else [samples / name] for name in _SAMPLES}
     robots, machines = sorted(ROBOTS.glob("*_description")), sorted(MACHINES.iterdir())
     closed = [*(robot / "urdf" for robot in robots), *(machine for machine in machines if any(machine.glob("*.urdf")))]
     tripod = ROBOTS / "pm3dof_description"
@@ -356,6 +482,14 @@ def inputs(calibrations: Sequence[Path] = ()) -> dict[str, Input]:
         "plan": Input(calibrations, "plan.csv", _read_plan),
         "calibration": Input(calibrations, "calibration/[cn]*/*", _read_calibration),
         "compensation": Input(calibrations, "calibration/*.json", _read_calibration),
+        "certificate": Input(calibrations, "about.yaml", _read_about),
+        "export": Input(of["export"], "*.csv", _read_export),
+        "columns": Input(of["export"], "*.yaml", _read_export),
+        "join": Input(of["join"], "*.csv", _read_join),
+        "klipper": Input(of["klipper"], "printer.*", _read_printer),
+        "gcode": Input([*of["reprapfirmware"], *of["marlin"]], "printer.*", _read_printer),
+        "acceptance": Input(of["acceptance"], "*", _read_acceptance),
+        "history": Input(of["history"], "*", _read_history),
     }
     return {name: kind for name, kind in kinds.items() if kind.sources}
 
@@ -387,7 +521,8 @@ def _work(name: str, seeds: range, calibrations: list[Path], keep: Path | None, 
 
     signal.signal(signal.SIGALRM, ring)
     logging.disable(logging.CRITICAL)
-    kind = inputs(calibrations)[name]
+    samples = write_samples(Path(tempfile.mkdtemp(prefix="samples_")))
+    kind = inputs(calibrations, samples)[name]
     for seed in seeds:
         print(json.dumps({"begins": seed}), flush=True)
         with tempfile.TemporaryDirectory(prefix="mutant_") as above:
@@ -397,6 +532,7 @@ def _work(name: str, seeds: range, calibrations: list[Path], keep: Path | None, 
             if keep is not None and said not in ("refused", "accepted"):
                 kind.mutant(keep / f"{name}_{seed}", seed)
         print(json.dumps({"seed": seed, "said": said}), flush=True)
+    shutil.rmtree(samples)
 
 
 def run(
@@ -446,7 +582,7 @@ def main() -> None:
         _work(options.work, seeds, options.calibration, options.keep, options.seconds)
         return
     failed = False
-    for name in options.input or inputs(options.calibration):
+    for name in options.input or inputs(options.calibration, Path()):
         counts: Counter[str] = Counter()
         for seed, said in run(name, seeds, options.calibration, options.keep, options.seconds):
             counts[said if said in ("refused", "accepted") else "wrong"] += 1

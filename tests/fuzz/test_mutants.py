@@ -11,6 +11,7 @@ from types import ModuleType
 import pytest
 
 SCRIPT = Path(__file__).with_name("mutants.py")
+OF_SAMPLES = ("export", "columns", "join", "klipper", "gcode", "acceptance", "history")
 KINDS = ("urdf", "closures", "springs", "srdf", "errors", "parameters", "mjcf", "sdf", "loops")
 
 
@@ -31,6 +32,22 @@ def test_mutants_are_refused_or_sound(kind: str, mutants: ModuleType, tmp_path: 
     damaged = mutants.inputs()[kind]
     for seed in range(1000, 1004):
         said = mutants.outcome(damaged, seed, tmp_path / str(seed))
+        assert said in ("refused", "accepted"), f"{kind} {seed}: {said}"
+
+
+@pytest.fixture(scope="module")
+def samples(mutants: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return mutants.write_samples(tmp_path_factory.mktemp("samples"))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", OF_SAMPLES)
+def test_samples(kind: str, mutants: ModuleType, samples: Path, tmp_path: Path) -> None:
+    input_of = mutants.inputs((), samples)[kind]
+    for source in input_of.sources:
+        input_of.read(source)  # as they are, they are accepted
+    for seed in range(1000, 1008):
+        said = mutants.outcome(input_of, seed, tmp_path / str(seed))
         assert said in ("refused", "accepted"), f"{kind} {seed}: {said}"
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.interpolate
 import scipy.optimize
 
 import pm3dof_pin as pm
@@ -240,17 +241,21 @@ def test_a_rotary_delta(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("arms", [(270.0, 270.0, 270.0), (270.6, 269.5, 270.2)])
 @pytest.mark.parametrize("firmware", ["RepRapFirmware", "Marlin"])
-def test_logs_of_g_code(firmware: str, tmp_path: Path) -> None:
+def test_logs_of_g_code(firmware: str, arms: tuple[float, ...], tmp_path: Path) -> None:
     """Heights at which a printer touches the bed where its own numbers say z; end stops are corrected in both signs."""
     sign = 1.0 if firmware == "RepRapFirmware" else -1.0
-    believed = Delta(130.0, tuple(BASE + np.radians([0.1, 0.0, 0.0])), stops=(245.2, 245.0, 245.5))
-    noise = np.random.default_rng(5)
+    believed = Delta(130.0, tuple(BASE + np.radians([0.1, 0.0, 0.0])), arms, stops=(245.2, 245.0, 245.5))
+    truth, noise = replace(TRUTH, arms=arms), np.random.default_rng(5)
     at, heights = points(), []
     for x, y in at:
-        z = scipy.optimize.brentq(lambda z, x=x, y=y: TRUTH.nozzle(believed.travels(x, y, z))[2], -5.0, 5.0)
+        z = scipy.optimize.brentq(lambda z, x=x, y=y: truth.nozzle(believed.travels(x, y, z))[2], -5.0, 5.0)
         heights.append(z + noise.normal(0.0, 0.01))
-    lines = ["M665 L270 R130 H245 X0.1 Y0 Z0", f"M666 X{sign * 0.2} Y0 Z{sign * 0.5} ; end stops"]
+    lengths, trims = ":".join(map(str, arms)), ""
+    if firmware == "Marlin":
+        lengths, trims = "270", "".join(f" {name}{arm - 270:.1f}" for name, arm in zip("ABC", arms, strict=True))
+    lines = [f"M665 L{lengths} R130 H245 X0.1 Y0 Z0{trims}", f"M666 X{sign * 0.2} Y0 Z{sign * 0.5} ; end stops"]
     if firmware == "Marlin":
         lines += [f"Bed X: {x:.6f} Y: {y:.6f} Z: {z:.6f}" for (x, y), z in zip(at, heights, strict=True)]
     else:
@@ -265,6 +270,67 @@ def test_logs_of_g_code(firmware: str, tmp_path: Path) -> None:
     )
     np.testing.assert_allclose(again.printer().end_stops, found.after.end_stops, atol=1e-7)
     np.testing.assert_allclose(again.printer().angles, found.after.angles, atol=1e-5)
+    np.testing.assert_allclose(again.printer().arms, found.after.arms, atol=1e-7)
+    np.testing.assert_allclose(np.ptp(found.after.arms), 1e-3 * np.ptp(arms), atol=2e-4)
+
+
+def test_a_sloping_bed_of_reprapfirmware(tmp_path: Path) -> None:
+    """M666 A and B [%]: the drives' frame is where z is higher by 0.01 (A x + B y), so a level printer touches at 0."""
+    lines = ["M665 L270 R130 H245", "M666 X0 Y0 Z0 A0.4 B-0.2"]
+    lines += [f"G30 P{k} X{x:.6f} Y{y:.6f} Z-99999" for k, (x, y) in enumerate(points())]
+    lines += [f"G32 bed probe heights: {' '.join(['0.0'] * len(points()))}"]
+    file = read_firmware(tmp_path / "log.g", "\n".join(lines))
+    printer = file.printer()
+    touches = file.touches(printer)
+    steep = [Delta().travels(x, y, 0.004 * x - 0.002 * y) for x, y in points()]
+    np.testing.assert_allclose(touches.travels, -1e-3 * np.array(steep), atol=1e-12)
+    np.testing.assert_allclose(touches.heights, 1e-3 * (points() @ [0.004, -0.002]), atol=1e-12)
+    assert "A0.4 B-0.2" in file.with_printer(printer)
+
+
+def test_a_bed_mesh(tmp_path: Path) -> None:
+    """A bed with waves that no parameter makes: the mesh and the new numbers together put the nozzle over it."""
+
+    def bed(x: Any, y: Any) -> Any:
+        return 0.12 * np.sin(x / 35.0) * np.cos(y / 40.0)
+
+    noise = np.random.default_rng(3)
+    rows = []
+    for x, y in points(((35.0, 6), (65.0, 12), (95.0, 18))):
+
+        def over(z: float, x: float = x, y: float = y) -> float:
+            place = TRUTH.nozzle(Delta().travels(x, y, z))
+            return float(place[2] - bed(place[0], place[1]))
+
+        rows.append(Delta().travels(x, y, scipy.optimize.brentq(over, -5.0, 5.0)) + noise.normal(0.0, 0.01))
+    path = tmp_path / "printer.cfg"
+    old = "#*# [bed_mesh old]\n#*# version = 1\n#*# points =\n#*# \t  0.1, 0.2\n#*# \t  0.3, 0.4\n#*# x_count = 2\n#*#"
+    path.write_text(klipper(Delta(), np.array(rows), old))
+    found = calibrate_printer(path, bed_mesh=True)
+    text = (found.save(tmp_path / "out") / "printer.cfg").read_text()
+    assert "#*# points = \n#*# \t0.1, 0.2\n#*# \t0.3, 0.4\n#*# x_count = 2" in text
+    assert found.summary()["meshes_to_be_probed_again"] == ["old"]
+    block = text.split("[bed_mesh default]")[1]
+    grid = np.array(
+        [[float(v) for v in line[4:].split(",")] for line in block.splitlines() if line.startswith("#*# \t")]
+    )
+    end = float(block.split("max_x = ")[1].split()[0])
+    side = np.linspace(-end, end, 9)
+    mesh = scipy.interpolate.RegularGridInterpolator((side, side), grid)
+    after = found.after
+    mine = Delta(
+        1e3 * after.radius, after.angles, tuple(1e3 * np.array(after.arms)), tuple(1e3 * np.array(after.end_stops))
+    )
+    off = {}
+    for meshed in (False, True):
+        places = [TRUTH.nozzle(mine.travels(x, y, meshed * mesh((y, x)))) for x, y in points(((25.0, 7), (80.0, 11)))]
+        off[meshed] = float(np.sqrt(np.mean([(place[2] - bed(*place[:2])) ** 2 for place in places])))
+    assert off[True] < 0.4 * off[False], off
+    assert off[True] < 1.5e3 * found.interval[1]
+    # nothing but noise is left: no mesh
+    flat = touched(TRUTH, Delta(), points(), noise)
+    path.write_text(klipper(Delta(), flat))
+    assert calibrate_printer(path, bed_mesh=True).mesh is None
 
 
 def test_the_command(travels: np.ndarray, run: Callable[..., Any], tmp_path: Path) -> None:
