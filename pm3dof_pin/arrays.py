@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Iterable
 from typing import Any, TypeVar, get_args
 
@@ -13,6 +14,7 @@ from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.typing import Vector
 
 _MAX_MAGNITUDE = 1e100  # the product of any three is a number
+_LARGE = 2**26  # bytes
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 
 
@@ -82,3 +84,11 @@ def frozen(array: AnyArray) -> AnyArray:
     """Make an array read-only and return it."""
     array.setflags(write=False)
     return array
+
+
+def large_array(shape: int | tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
+    """Return zeros: of many in a temporary file without a name, which the system keeps in memory as far as there is."""
+    if np.prod(shape) * np.dtype(dtype).itemsize < _LARGE:
+        return np.zeros(shape, dtype)
+    with tempfile.TemporaryFile() as file:
+        return np.memmap(file, dtype, mode="w+", shape=shape)

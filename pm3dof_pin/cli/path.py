@@ -18,12 +18,12 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.mechanism.tool_components import rotation_of_angles, tool_components
+from pm3dof_pin.paths.bounds import MotionLimits
 from pm3dof_pin.paths.controller import controller_limits
 from pm3dof_pin.paths.cutting import Milling
 from pm3dof_pin.paths.evaluation import TOLERANCE, PathOptions, evaluate_path
 from pm3dof_pin.paths.follower import with_tool_length
 from pm3dof_pin.paths.placement import place_path
-from pm3dof_pin.paths.planning import MotionLimits
 from pm3dof_pin.paths.summary import DRIVE_HEADER, WORST_HEADER, drive_rows, worst_rows
 from pm3dof_pin.paths.tool_path import ToolPath, read_path
 from pm3dof_pin.paths.writing import write_path
@@ -95,6 +95,14 @@ def path(
             parser=finite_number,
         ),
     ] = None,
+    jerk: Annotated[
+        float | None,
+        typer.Option(
+            metavar="J",
+            help="Greatest jerk along the path [m/s^3]; without it, or the controller's, the law is trapezoidal.",
+            parser=finite_number,
+        ),
+    ] = None,
     tolerance: Annotated[
         float, typer.Option(metavar="E", help="Greatest deviation between points [m].", parser=finite_number)
     ] = TOLERANCE,
@@ -137,7 +145,7 @@ def path(
     if known is not None and known.errors.robot.name != robot.name:
         raise InvalidValueError("--calibration", calibration, f"a calibration of {robot.name}")
     limits = MotionLimits() if controller is None else controller_limits(robot, controller)
-    given: dict[str, Any] = {"acceleration": acceleration, "rapid": rapid, "feed": feed}
+    given: dict[str, Any] = {"acceleration": acceleration, "rapid": rapid, "feed": feed, "jerk": jerk}
     limits = replace(limits, **{name: value for name, value in given.items() if value is not None})
     options = PathOptions(
         tool_length=tool_length,
@@ -179,6 +187,10 @@ def path(
         words = ", ".join(summary["broken_limits"]) or "another branch"
         line = summary["first_line_beyond_limits"]
         message(f"pm3dof: {beyond} of {summary['points']} points break a limit ({words}), first in line {line}")
+    if beyond_force := summary["points_beyond_drive_force"]:
+        share, line = f"{beyond_force} of {summary['points']}", summary["first_line_beyond_drive_force"]
+        message(f"pm3dof: {share} points need more force than a drive has, first in line {line}")
+    if not summary["within_limits"] or beyond_force:
         raise typer.Exit(LIMIT_BROKEN)
 
 

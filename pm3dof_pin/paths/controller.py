@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.export.machine_axes import AXIS_INDICES, Axes
 from pm3dof_pin.files import read_text
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.paths.planning import MotionLimits
+from pm3dof_pin.paths.bounds import MotionLimits
 from pm3dof_pin.typing import Vector
 
 _LENGTHS = {"mm": 1e-3, "metric": 1e-3, "inch": 0.0254, "in": 0.0254, "imperial": 0.0254}
@@ -21,8 +22,9 @@ _LENGTHS = {"mm": 1e-3, "metric": 1e-3, "inch": 0.0254, "in": 0.0254, "imperial"
 def controller_limits(robot: Robot, path: Path | str, usual: MotionLimits | None = None) -> MotionLimits:
     """Read the limits that a LinuxCNC machine gives its path and its joints.
 
-    MAX_LINEAR_VELOCITY and MAX_LINEAR_ACCELERATION of [TRAJ] are those of rapids and of the path; MAX_VELOCITY and
-    MAX_ACCELERATION of [JOINT_0], [JOINT_1] ... are those of the drives, in the order of the commands.
+    MAX_LINEAR_VELOCITY and MAX_LINEAR_ACCELERATION of [TRAJ] are those of rapids and of the path, and so is
+    MAX_LINEAR_JERK if PLANNER_TYPE is 1; MAX_VELOCITY and MAX_ACCELERATION of [JOINT_0], [JOINT_1] ... are those of the
+    drives, in the order of the commands, and of [AXIS_X], [AXIS_Y] ... those of the axes.
 
     Args:
         robot: the robot.
@@ -63,12 +65,26 @@ def controller_limits(robot: Robot, path: Path | str, usual: MotionLimits | None
             found[k] = number(section, key, factor / abs(command.scale)) or np.inf
         order = [[c.joint for c in robot.commands].index(joint) for joint in robot.actuated_joints]
         drives[name] = found[order]
+    axes: dict[str, dict[str, float]] = {"MAX_VELOCITY": {}, "MAX_ACCELERATION": {}}
+    letters = Axes.of(robot).letters if any(parser.has_section(f"AXIS_{letter}") for letter in AXIS_INDICES) else ()
+    names = dict(zip(letters, (coordinate.name for coordinate in robot.coordinates), strict=False))
+    for letter in AXIS_INDICES:
+        factor = math.pi / 180.0 if letter in "ABC" else length
+        for key, limits_of in axes.items():
+            if (value := number(f"AXIS_{letter}", key, factor)) is not None:
+                limits_of |= {letter: value, names.get(letter, letter): value}
+    jerk = (
+        number("TRAJ", "MAX_LINEAR_JERK", length) if parser.get("TRAJ", "PLANNER_TYPE", fallback="0") == "1" else None
+    )
     rapid = number("TRAJ", "MAX_LINEAR_VELOCITY", length)
     acceleration = number("TRAJ", "MAX_LINEAR_ACCELERATION", length)
     return replace(
         limits,
         rapid=limits.rapid if rapid is None else rapid,
         acceleration=limits.acceleration if acceleration is None else acceleration,
+        jerk=limits.jerk if jerk is None else jerk,
+        axis_speed=axes["MAX_VELOCITY"],
+        axis_acceleration=axes["MAX_ACCELERATION"],
         drive_speed=drives["drive_speed"],
         drive_acceleration=drives["drive_acceleration"],
     )

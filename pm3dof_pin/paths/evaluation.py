@@ -30,22 +30,13 @@ from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.kinematics.singularity_measures import singularity_measures
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.mechanism.loads import Payloads
+from pm3dof_pin.paths.bounds import DriveForces, MotionLimits, along_path, drive_limits, path_metric
 from pm3dof_pin.paths.cutting import Milling
-from pm3dof_pin.paths.follower import Follower, with_tool_length
-from pm3dof_pin.paths.planning import (
-    BLOCK,
-    MotionLimits,
-    PathPoints,
-    TimedPoints,
-    along_path,
-    choose_points,
-    in_blocks,
-    path_metric,
-    plan_motion,
-)
+from pm3dof_pin.paths.follower import Follower, Motion, with_tool_length
+from pm3dof_pin.paths.planning import BLOCK, PathPoints, TimedPoints, choose_points, in_blocks, plan_motion
 from pm3dof_pin.paths.summary import PathSummary
 from pm3dof_pin.paths.tool_path import ToolPath
-from pm3dof_pin.typing import Array, Matrix, Vector
+from pm3dof_pin.typing import Array, Indices, Matrix, Vector
 
 TOLERANCE = 1e-5
 """Greatest deviation from the path between points by default [m]."""
@@ -98,7 +89,9 @@ class PathEvaluation:
         self._summary: dict[str, Any] | None = None
         self._thinned: Columns | None = None
         points = choose_points(self._follower, options.tolerance, options.spacing)
-        self.timed: TimedPoints = plan_motion(self._follower, points, options.limits, options.tolerance)
+        self.timed: TimedPoints = plan_motion(
+            self._follower, points, options.limits, options.tolerance, self._drive_forces
+        )
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -124,8 +117,8 @@ class PathEvaluation:
             yield self.columns
             return
         energy, before = 0.0, None
-        summary, lasting = PathSummary(self.robot, self.path.lines), self.timed.speeds.duration
-        weights = 0.5 * (lasting + np.append(lasting[1:], 0.0))
+        lasting = self.timed.speeds.duration
+        summary = PathSummary(self.robot, self.path.lines, self._force_limits)
         every, thinned = -(-len(self) // _THINNED), []
         for part, (columns, work) in in_blocks(self._block, self.points.blocks(), self.robot.threads):
             # work has places and forces of the drives' joints
@@ -135,7 +128,8 @@ class PathEvaluation:
             total = energy + np.cumsum(np.nan_to_num(steps.sum(axis=1)))
             columns["energy_J"] = np.append(0.0, total) if before is None else total
             energy, before = float(columns["energy_J"][-1]), work[:, -1:]
-            summary.add(columns, weights[part])
+            after = np.append(lasting[part.start + 1 : part.stop + 1], [] if part.stop < len(self) else [0.0])
+            summary.add(columns, 0.5 * (lasting[part] + after))
             first = -part.start % every
             thinned.append({name: values[first::every] for name, values in columns.items()})
             yield columns
@@ -162,6 +156,13 @@ class PathEvaluation:
         self._read()
         assert self._thinned is not None
         return self._thinned
+
+    @property
+    def _force_limits(self) -> Vector:
+        robot = self.robot
+        usual = robot.model.effortLimit[robot.actuated_indices]
+        limits = drive_limits(self._follower, self.options.limits.drive_force, usual)
+        return limits[[robot.actuated_joints.index(command.joint) for command in robot.commands]]
 
     @cached_property
     def _drive_names(self) -> list[str]:
@@ -203,7 +204,7 @@ class PathEvaluation:
         }
         if path.times is not None:
             columns["feed_m_s"] = np.linalg.norm(tool[:, :3] * v, axis=1)
-        wrenches = self._wrenches(part, columns["feed_m_s"], tool, poses.rotations)
+        wrenches = self._wrenches(moves, shares, columns["feed_m_s"], tool, poses.rotations)
         motions = drive_motions(robot, poses)
         forces = motion_forces(
             robot, poses, motions, velocities, accelerations, payloads=self._payloads, wrenches=wrenches
@@ -277,9 +278,23 @@ class PathEvaluation:
         measures = singularity_measures(self.robot, poses, self._mobility, on_failure="nan")
         return np.asarray(measures.min(axis=1, initial=np.inf))
 
-    def _wrenches(self, part: slice, feed: Vector, tool: Matrix, rotations: Array) -> Matrix:
+    def _drive_forces(
+        self, motion: Motion, moves: Indices, shares: Array, feed: Vector, first: Matrix, second: Matrix
+    ) -> DriveForces:
+        """Return the forces of the drives by speed and acceleration, with the cutting force at a feed."""
+        robot, poses, none = self.robot, motion.poses, np.zeros_like(first)
+        motions = drive_motions(robot, poses)
+        wrenches = self._wrenches(moves, shares, feed, motion.tool, poses.rotations)
+        still, moving, accelerating = (
+            motion_forces(robot, poses, motions, *rates, payloads=self._payloads)
+            for rates in ((none, none), (first, second), (none, first))
+        )
+        at_rest = still - np.einsum("niu,ni->nu", motions.tool, wrenches)
+        return DriveForces(at_rest, moving - still, accelerating - still)
+
+    def _wrenches(self, moves: Indices, shares: Array, feed: Vector, tool: Matrix, rotations: Array) -> Matrix:
         """Return the wrenches on the tool point, world axes, shape=(n, 6) [N, N m]."""
-        path, moves, shares = self.path, self.points.moves[part], self.points.shares[part]
+        path = self.path
         wrenches = np.zeros((len(moves), 6))
         if path.wrenches is not None:
             first, last = path.wrenches[moves], path.wrenches[moves + 1]

@@ -26,10 +26,10 @@ from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.mechanism.tool_components import rotation_of_angles
+from pm3dof_pin.paths.bounds import drive_limits
 from pm3dof_pin.paths.evaluation import PathOptions
 from pm3dof_pin.paths.follower import Follower, with_tool_length
 from pm3dof_pin.paths.gcode import MACHINE, Systems, in_machine
-from pm3dof_pin.paths.planning import drive_limits
 from pm3dof_pin.paths.tool_path import ToolPath
 from pm3dof_pin.typing import Array, Matrix, Vector
 

@@ -26,6 +26,7 @@ _WORST = {
     "greatest_error_95_percent_m": ("error_95_percent_m", True),
     "lowest_frequency_Hz": ("lowest_frequency_Hz", False),
 }
+_ROUNDING = 1e-9  # relative, of forces at their limits
 _MOMENTS = ("speed", "acceleration", "force", "power")
 
 
@@ -35,11 +36,14 @@ class PathSummary:
     Args:
         robot: the robot.
         lines: the line of each move.
+        force_limits: of the drives, in the order of the commands, infinite where there are none [N, N m].
     """
 
-    def __init__(self, robot: Robot, lines: NDArray[np.int64]) -> None:
-        self._robot, self._lines = robot, lines
+    def __init__(self, robot: Robot, lines: NDArray[np.int64], force_limits: Vector) -> None:
+        self._robot, self._lines, self._force_limits = robot, lines, force_limits
+        self._first_beyond_force: int | None = None
         self._counts = dict.fromkeys(("points", "points_within_limits", "points_out_of_reach", "points_off_branch"), 0)
+        self._counts["points_beyond_drive_force"] = 0
         self._first_broken: int | None = None
         self._broken = 0
         self._worst: dict[str, tuple[float, int]] = {}
@@ -74,11 +78,13 @@ class PathSummary:
         np.minimum.at(self._ceilings, np.searchsorted(self._of_line, lines), ceilings)
 
     def _add_drives(self, columns: Mapping[str, Array], lines: NDArray[np.int64], lasting: Vector) -> None:
+        too_weak = np.zeros(len(lines), dtype=bool)
         for k in range(len(self._robot.commands)):
             found = {
                 moment: next(values for key, values in columns.items() if key.startswith(f"u{k + 1}_{moment}_"))
                 for moment in _MOMENTS
             }
+            too_weak |= np.abs(np.nan_to_num(found["force"])) > self._force_limits[k] * (1.0 + _ROUNDING)
             force, weights = found["force"], np.where(np.isfinite(found["force"]), lasting, 0.0)
             self._squares[k] += np.sum(weights * np.nan_to_num(force) ** 2)
             self._driving[k] += np.sum(weights * np.maximum(np.nan_to_num(found["power"]), 0.0))
@@ -87,6 +93,9 @@ class PathSummary:
                 kept = {"": self._peaks[moment][k]} if self._peaks[moment][k][1] else {}
                 self._keep(kept, "", np.abs(values), lines, greatest=True)
                 self._peaks[moment][k] = kept.get("", (math.nan, 0))
+        self._counts["points_beyond_drive_force"] += int(too_weak.sum())
+        if self._first_beyond_force is None and too_weak.any():
+            self._first_beyond_force = int(lines[int(too_weak.argmax())])
 
     @staticmethod
     def _keep(
@@ -111,6 +120,7 @@ class PathSummary:
             "within_limits": counts["points"] == counts["points_within_limits"],
             "broken_limits": broken,
             "first_line_beyond_limits": self._first_broken,
+            "first_line_beyond_drive_force": self._first_beyond_force,
             "time_s": self._time,
             "energy_J": self._energy,
         }
@@ -132,8 +142,8 @@ class PathSummary:
         for moment, key in keys.items():
             value, line = self._peaks[moment][k]
             found |= {f"peak_{key}": value, f"peak_{moment}_line": line}
-        effort = float(self._robot.model.effortLimit[self._robot.single_joint(command.joint).v_index])
-        found[f"effort_limit_{unit}"] = effort if effort > 0.0 else None
+        effort = float(self._force_limits[k])
+        found[f"effort_limit_{unit}"] = effort if math.isfinite(effort) else None
         found["driving_energy_J"] = float(self._driving[k])
         return found
 

@@ -8,18 +8,25 @@ import os
 import re
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, tool_coordinates
 from pm3dof_pin.export.axis_limits import axis_limits
 from pm3dof_pin.export.controllers import export_controller
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.paths.controller import controller_limits
+from pm3dof_pin.paths.evaluation import PathOptions, evaluate_path
+from pm3dof_pin.paths.follower import with_tool_length
+from pm3dof_pin.paths.tool_path import read_path
 
 MODULES = Path("/usr/lib/linuxcnc/modules")
 
@@ -102,6 +109,119 @@ def test_a_program_that_leaves_the_workspace_stops(tripod: Path) -> None:
     assert "limit" in done.stdout + done.stderr
 
 
+@needs_linuxcnc
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_tilted_tool_of_the_calibrated_and_of_the_described_robot(calibrated: bool, tmp_path: Path) -> None:
+    """The pin switches between two sets of numbers, and the tip stays where the program wants it."""
+    errors = pm.GeometricErrors.load("hexapod")
+    identified = errors.apply(errors.sample(np.random.default_rng(2)))
+    export_controller(errors.robot, "linuxcnc", tmp_path, calibrated=identified)
+    hal = tmp_path / "hexapod.hal"
+    assert "setp hexapod_kins.calibrated 1" in hal.read_text()
+    hal.write_text(hal.read_text().replace("calibrated 1", f"calibrated {int(calibrated)}"))
+    (tmp_path / "tool.tbl").write_text("T1 P1 Z30\n")
+    stops = np.array([[2.0, -3.0, 105.0, 3.0, -2.0, 1.0], [-4.0, 1.0, 108.0, -5.0, 4.0, -2.0]])
+    pointed = with_tool_length(identified if calibrated else errors.robot, -0.03)
+    angles = np.where(np.arange(6) < 3, 1e-3, np.radians(1.0))
+    commands = pointed.replace(coordinates=tool_coordinates(TOOL_COMPONENTS)).solve(stops * angles).commands
+    rows = [",".join([f"stop {c}" for c in "XYZABC"] + [f"joint_{k}" for k in range(6)])]
+    rows += [
+        ",".join(map(repr, [*stop, *joints]))
+        for stop, joints in zip(stops.tolist(), (1e3 * commands).tolist(), strict=True)
+    ]
+    (tmp_path / "check_joints.csv").write_text("\n".join(rows) + "\n")
+    words = ["".join(f"{c}{v} " for c, v in zip("XYZABC", stop, strict=True)) for stop in stops.tolist()]
+    done = run(tmp_path, "\n".join(["G21 G90 G61", "T1 M6 G43", *(f"G0 {w}\nG4 P0.1\nM0" for w in words), "M2\n"]))
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_linuxcnc
+def test_part_is_cut_where_it_was_judged_to_be(tmp_path: Path) -> None:
+    """The joints of LinuxCNC along a program, and how long it takes."""
+    robot, zero = pm.load("hexapod"), np.eye(4)
+    zero[2, 3] = 0.134
+    export_controller(robot, "linuxcnc", tmp_path)
+    text = "G21 G90 G54 G64 P0.01\nG0 X0 Y0 Z2\nG1 Z0 F200\nG1 X4 F600\nG3 X4 I-4\nG1 X0\nG0 Z2\nM2\n"
+    (tmp_path / "part.ngc").write_text(text)
+    (tmp_path / "placed.ngc").write_text("G21\nG10 L2 P1 X0 Y0 Z134\n" + text)
+    environment = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "LANG": "C.UTF-8", "USER": "user"}
+    command = ["sh", tmp_path / "run_sim.sh", tmp_path / "placed.ngc"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    _, *joints = np.loadtxt(tmp_path / "joints.csv", delimiter=",", skiprows=1).T
+    path = read_path(robot, tmp_path / "part.ngc", workpiece={54: zero})
+    limits = controller_limits(robot, tmp_path / "hexapod.ini")
+    found = evaluate_path(robot, path, PathOptions(limits=limits, spacing=1e-5))
+    wanted = np.stack([found.columns[f"tool_{axis}_m"] for axis in "xyz"], axis=1)
+    tool = robot.forward(1e-3 * np.transpose(joints)).positions
+    tool = tool[np.flatnonzero(np.abs(tool[:, 2] - 0.136) < 1e-6)[0] :]  # from the first stop of the program on
+    off = cKDTree(wanted).query(tool)[0]
+    assert off.max() < 1.2e-5  # G64 P0.01, and half the distance of the points
+    assert np.linalg.norm(tool[-1] - wanted[-1]) < 1e-9
+
+
+PROTOTYPES = """
+#include "kinematics.h"
+#include "emcmotcfg.h"
+#include "posemath.h"
+extern int kinematicsJacobian(const double *joint, const EmcPose *world,
+                              double jac[EMCMOT_MAX_JOINTS][EMCMOT_MAX_AXIS], const KINEMATICS_INVERSE_FLAGS *iflags);
+extern int kinematicsToolFrame(const double *joint, PmRotationMatrix *rot, const KINEMATICS_FORWARD_FLAGS *fflags);
+#include "MODULE.c"
+int sizes(int k) { return k ? EMCMOT_MAX_AXIS : EMCMOT_MAX_JOINTS; }
+"""
+"""As LinuxCNC's developers declare them after 2.9."""
+
+
+@pytest.mark.skipif(not Path("/usr/include/linuxcnc/kinematics.h").is_file(), reason="no headers of LinuxCNC")
+@pytest.mark.parametrize("name", ["hexapod", "pm3dof", "linear_delta"])
+@pytest.mark.parametrize("tool", [0.0, 25.0])
+def test_jacobian_and_tool_frame_of_newer_versions(name: str, tool: float, tmp_path: Path) -> None:
+    robot = pm.load(name)
+    export_controller(robot, "linuxcnc", tmp_path)
+    (tmp_path / "newer.c").write_text(PROTOTYPES.replace("MODULE", f"{name}_kins"))
+    defines = ["RTAPI", "USPACE", "_GNU_SOURCE", "__MODULE__", "PM3DOF_LINUXCNC_HAS_JACOBIAN"]
+    build = ["gcc", "-shared", "-fPIC", "-Wall", "-I/usr/include/linuxcnc", *(f"-D{word}" for word in defines)]
+    build += ["newer.c", "-o", f"{name}.so", "-lm"]
+    subprocess.run(build, cwd=tmp_path, check=True)
+    library = stubs()
+    module = ctypes.CDLL(str(tmp_path / f"{name}.so"))
+    assert module.rtapi_app_main() == 0
+    assert library.set_pin(f"{name}_kins.tool-offset".encode(), tool)
+    joints, axes = module.sizes(0), module.sizes(1)
+    flags_of = (ctypes.c_ulong * 2)()
+
+    def inverse(world: np.ndarray) -> np.ndarray:
+        answer = (ctypes.c_double * joints)()
+        assert module.kinematicsInverse((ctypes.c_double * 9)(*world), answer, flags_of, flags_of) == 0
+        return np.array(answer[: len(robot.commands)])
+
+    places = {"hexapod": range(6), "pm3dof": (2, 3, 4), "linear_delta": range(3)}[name]
+    world = np.zeros(9)
+    world[:3] = 1e3 * robot.home.tool_placement.translation
+    world[list(places)] += np.linspace(1.0, 2.0, len(places))
+    world[2] -= tool
+    at = inverse(world)
+    jacobian = np.full((joints, axes), np.nan)
+    place = (ctypes.c_double * 9)(*world)
+    assert (
+        module.kinematicsJacobian(
+            (ctypes.c_double * joints)(*at), place, jacobian.ctypes.data_as(ctypes.c_void_p), flags_of
+        )
+        == 0
+    )
+    expected = np.zeros((joints, axes))
+    for k in places:
+        ends = [inverse(world + sign * 1e-3 * np.eye(9)[k]) for sign in (1.0, -1.0)]
+        expected[: len(at), k] = (ends[0] - ends[1]) / 2e-3
+    np.testing.assert_allclose(jacobian, expected, atol=1e-7)
+    frame = (ctypes.c_double * 9)()
+    assert module.kinematicsToolFrame((ctypes.c_double * joints)(*at), frame, flags_of) == 0
+    scale = np.array([1e-3 if command.unit == "m" else np.radians(1.0) for command in robot.commands])
+    turned = robot.forward(at * scale).rotations @ robot.home.tool_placement.rotation.T
+    np.testing.assert_allclose(np.array(frame).reshape(3, 3).T, turned, atol=1e-9)  # PmRotationMatrix has columns
+
+
 def test_axis_limits_keep_every_drive_within_its_own() -> None:
     """Differences of commands along random straight motions at the limits, with other poses than the export's."""
     robot = pm.load("hexapod")
@@ -147,17 +267,18 @@ void rtapi_print(const char *format, ...) { (void)format; }
 void rtapi_print_msg(int level, const char *format, ...) { (void)level; (void)format; }
 int set_pin(const char *name, double value)
 {
-  int k;
+  int k, found = 0;
   for (k = 0; k < count; k++)
-    if (!strcmp(names[k], name)) { values[k] = value; return 1; }
-  return 0;
+    if (!strcmp(names[k], name)) { values[k] = value; found = 1; }
+  return found;
 }
 """
 
 
 @cache
-def stubs(folder: Path) -> ctypes.CDLL:
-    """Return functions that stand in for HAL, for modules that are loaded after it."""
+def stubs() -> ctypes.CDLL:
+    """Return functions that stand in for HAL, for all modules that are loaded after it."""
+    folder = Path(tempfile.mkdtemp())
     (folder / "stubs.c").write_text(STUBS)
     subprocess.run(["gcc", "-shared", "-fPIC", "stubs.c", "-o", "stubs.so"], cwd=folder, check=True)
     library = ctypes.CDLL(str(folder / "stubs.so"), mode=os.RTLD_GLOBAL)
@@ -174,7 +295,7 @@ def pins_of(file: Path) -> Mapping[str, float]:
 def test_hexapod_as_genhexkins(tmp_path: Path) -> None:
     robot = pm.load("hexapod")
     export_controller(robot, "linuxcnc", tmp_path)
-    library = stubs(tmp_path)
+    library = stubs()
     module = ctypes.CDLL(str(MODULES / "genhexkins.so"))
     assert module.rtapi_app_main() == 0
     pins = pins_of(tmp_path / "genhexkins.hal")

@@ -9,9 +9,9 @@ import pytest
 
 import pm3dof_pin as pm
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError, UnreachablePoseError
+from pm3dof_pin.paths.bounds import MotionLimits
 from pm3dof_pin.paths.evaluation import PathEvaluation, PathOptions, evaluate_path
 from pm3dof_pin.paths.follower import with_tool_length
-from pm3dof_pin.paths.planning import MotionLimits
 from pm3dof_pin.paths.tool_path import ToolPath, read_path
 from pm3dof_pin.paths.writing import write_path
 from pm3dof_pin.typing import Array

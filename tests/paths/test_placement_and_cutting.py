@@ -13,11 +13,11 @@ from scipy.integrate import quad
 
 import pm3dof_pin as pm
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, UnreachablePoseError
+from pm3dof_pin.paths.bounds import MotionLimits
 from pm3dof_pin.paths.controller import controller_limits
 from pm3dof_pin.paths.cutting import Milling
 from pm3dof_pin.paths.evaluation import PathOptions, evaluate_path
 from pm3dof_pin.paths.placement import place_path
-from pm3dof_pin.paths.planning import MotionLimits
 from pm3dof_pin.paths.report import path_report
 from pm3dof_pin.paths.tool_path import read_path
 

@@ -17,7 +17,7 @@ NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 
 
 def test_examples_are_numbered_and_short() -> None:
-    assert [int(path.name[:2]) for path in EXAMPLES] == list(range(1, 13))
+    assert [int(path.name[:2]) for path in EXAMPLES] == list(range(1, 14))
     for path in EXAMPLES:
         text = path.read_text(encoding="utf-8")
         assert text.count("\n") < 40, path.name
