@@ -30,7 +30,7 @@ _UNITS = {
     "urad": ("rad", 1e-6),
     "ms": ("s", 1e-3),
 }
-_CONDITIONS = ("temperature_", "load_")
+_CONDITIONS = ("temperature_", "load_", "rise_")
 
 
 def is_condition(column: str) -> bool:

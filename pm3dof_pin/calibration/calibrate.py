@@ -19,6 +19,7 @@ from pm3dof_pin.calibration.expectation import Expectation
 from pm3dof_pin.calibration.fit import Fit, Method, fit
 from pm3dof_pin.calibration.fit import Options as Options
 from pm3dof_pin.calibration.folder import summary_of, write_calibration
+from pm3dof_pin.calibration.heat import as_if_cold
 from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.refusals import doubts, likely_cause, refusals
 from pm3dof_pin.calibration.report import calibration_pictures, report_as_html
@@ -171,8 +172,8 @@ def calibrate(
         require_kind(name, each, Measurements, "pm.read_measurements")
         return each
 
-    seen = read(measurements, "measurements")
-    others = None if validation is None else read(validation, "validation")
+    seen = as_if_cold(read(measurements, "measurements"), errors)
+    others = None if validation is None else as_if_cold(read(validation, "validation"), errors)
     report_progress = progress or (lambda done, of: None)
     failure: PM3DofError | None = None
     try:

@@ -13,14 +13,13 @@ import typer
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.cli.output import message
 from pm3dof_pin.cli.poses import read_table, write_batch
-from pm3dof_pin.errors.body_temperatures import BodyTemperatures
+from pm3dof_pin.errors.body_temperatures import BodyTemperatures, rise_column, rises_of
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.pose_file import PoseTable, columns_text, readings
 from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.typing import Array
 
 STANDARD_INPUT = "-"
-_PREFIX, _SUFFIX = "rise_", "_K"
 
 
 def compensate_warm(known: Compensation, source: str, out: Path | None, *, as_json: bool, eta: float) -> None:
@@ -41,13 +40,9 @@ def compensate_warm(known: Compensation, source: str, out: Path | None, *, as_js
     conditions = known.with_usual_conditions({})
 
     def commands(table: PoseTable) -> tuple[Poses, dict[str, Array]]:
-        rises = {
-            name.removeprefix(_PREFIX).removesuffix(_SUFFIX): values
-            for name, values in table.others.items()
-            if name.startswith(_PREFIX) and name.endswith(_SUFFIX)
-        }
+        rises = rises_of(table.others)
         if not rises:
-            known_names = ", ".join(f"{_PREFIX}{name}{_SUFFIX}" for name in heat.names)
+            known_names = ", ".join(map(rise_column, heat.names))
             raise InvalidValueError("--temperatures", problem="has no temperatures", expected=f"columns {known_names}")
         wanted = table.poses
         found = np.full(wanted.commands.shape, np.nan)
@@ -57,7 +52,7 @@ def compensate_warm(known: Compensation, source: str, out: Path | None, *, as_js
             at = known.model.forward(cold[rows], guess=wanted.q[rows])
             change = heat.corrections(at, {name: values[rows] for name, values in rises.items()}, eta=eta)
             found[rows] = cold[rows] + change
-        named = {f"{_PREFIX}{name}{_SUFFIX}": values for name, values in rises.items()}
+        named = {rise_column(name): values for name, values in rises.items()}
         return wanted, {**table.columns, **named, **readings(known.errors.robot.command_coordinates, found)}
 
     robot = known.errors.robot
@@ -73,7 +68,8 @@ def compensate_warm(known: Compensation, source: str, out: Path | None, *, as_js
 
 def _rises_of(path: Path) -> list[str]:
     header = path.read_text(encoding="utf-8").split("\n", 1)[0]
-    return [name.strip() for name in header.split(",") if name.strip().startswith(_PREFIX)]
+    names = [name.strip() for name in header.split(",")]
+    return [rise_column(name) for name in rises_of(dict.fromkeys(names))]
 
 
 def _stream(answer: Callable[[Path], dict[str, Array]]) -> None:

@@ -58,6 +58,9 @@ class Thermal(_Numbers, frozen=True):
     #: across it [K]
     across_K: NotNegative = 0.5
     bending: dict[Name, BentMember] = {}  #: bending members, by the joint or frame at their end; none by default
+    #: links, screws, rods or groups (screws, drives, spindle) that are, each by itself, up to this much colder or
+    #: warmer than the rest [K]; none by default
+    bodies_K: dict[Name, NotNegative] = {}
 
 
 class Load(_Numbers, frozen=True):

@@ -19,6 +19,7 @@ from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.error_file import read_error_file
 from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.dynamics.batch import actuator_forces
+from pm3dof_pin.errors.body_temperatures import BodyTemperatures
 from pm3dof_pin.errors.command_correction import command_scales
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import (
@@ -121,8 +122,10 @@ class ErrorSources:
         shares = numbers.members
         if not isinstance(shares, dict):
             shares = {p.place: shares for p in all_parameters(robot) if p.motion == "translation"}
-        bearings = np.array(self.errors.fixed_bearings)
-        together = ThermalGrowth(bearings, members=shares, expansion=numbers.expansion_per_K)
+        bearings, rods = np.array(self.errors.fixed_bearings), {}
+        if not isinstance(numbers.members, dict):
+            rods = {loop.name: numbers.members for loop in robot.closures if loop.kind.is_distance}
+        together = ThermalGrowth(bearings, members=shares, expansion=numbers.expansion_per_K, rods=rods)
         kept = shares
         try:
             together.grown(robot, _WARM).forward(robot.home.commands, guess=robot.home)
@@ -134,7 +137,7 @@ class ErrorSources:
             place: Bending((1.0 / member.depth_m, 1.0 / member.depth_m), member.along_m)
             for place, member in numbers.bending.items()
         }
-        return ThermalGrowth(bearings, numbers.profile, kept, numbers.expansion_per_K, bending)
+        return ThermalGrowth(bearings, numbers.profile, kept, numbers.expansion_per_K, bending, rods)
 
     @cached_property
     def vibration(self) -> Vibration | None:
@@ -281,17 +284,32 @@ class _SourcesAtPoses:
             # independent rises minus their mean, which is the source above
             differences = by_screw @ (np.eye(count) - 1.0 / count) * between
             yield self._uniform("thermal_gradient", "temperature differences between screws", differences)
+        yield from self._bodies()
         bent = self._bent() * (growth.expansion * self._numbers.thermal.across_K)
         if bent.any():
             yield self._uniform("thermal_bending", "bending of members by temperature gradients", bent)
+
+    def _bodies(self) -> Iterator[SourceErrors]:
+        """Single bodies colder or warmer than the rest, by differences of a warm machine."""
+        most = self._numbers.thermal.bodies_K
+        if any(most.values()):
+            heat = BodyTemperatures(
+                self._robot, np.array(self._sources.errors.fixed_bearings), self._numbers.thermal.expansion_per_K
+            )
+            per_kelvin = [
+                pose_difference(*(heat.poses(self._poses, {name: rise}) for rise in (-_WARM, _WARM))) / (2.0 * _WARM)
+                for name in most
+            ]
+            reach = np.stack(per_kelvin, axis=2) * list(most.values())
+            yield self._uniform("thermal_bodies", "temperatures of single bodies", reach)
 
     def _by_members(self, growth: ThermalGrowth) -> Array:
         """Effect of the growth of all members per kelvin, shape=(n, 6) [m/K, rad/K]."""
         members = {f"thermal {name}": size for name, size in growth.growth_per_kelvin(self._robot).items() if size}
         names = self._names("thermal")
-        if members.keys() <= set(names):
+        if members.keys() <= set(names) and not growth.rods:
             return np.asarray(self._others("thermal") @ [members.get(name, 0.0) for name in names])
-        # members that close the loops only together, as in a planar mechanism that is warm all over
+        # rods, and members that close the loops only together, as in a planar mechanism that is warm all over
         ends = [
             growth.grown(self._robot, rise).forward(self._poses.commands, guess=self._poses.q).transforms
             for rise in (-_WARM, _WARM)

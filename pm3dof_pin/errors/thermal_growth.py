@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -59,6 +59,8 @@ class ThermalGrowth:
     expansion: float = STEEL_EXPANSION  #: a [1/K]
     #: members that bend, by the joint or frame at which they end
     bending: Mapping[str, Bending] = field(default_factory=dict)
+    #: rods that are closures of type "distance", by the closure's name, with their temperature rise like members
+    rods: Mapping[str, float] = field(default_factory=dict)
 
     def travel_errors(self, travels: Array, temperature_rises: Array) -> Array:
         """Return the excess travel of drives, shape=(n, drives) [m], at coordinates [m] and temperature rises [K]."""
@@ -77,7 +79,19 @@ class ThermalGrowth:
     def grown(self, robot: Robot, rise: float) -> Robot:
         """Return a robot with its members at a temperature rise [K]; its screws grow by :meth:`travel_errors`."""
         parameters, per_kelvin = self.growth(robot)
-        return GeometricErrors(robot, parameters).apply(rise * per_kelvin)
+        return self.with_rods(GeometricErrors(robot, parameters).apply(rise * per_kelvin), rise)
+
+    def with_rods(self, robot: Robot, rise: float) -> Robot:
+        """Return a robot with its rods alone at a temperature rise [K]."""
+        strains = {name: self.expansion * share * rise for name, share in self.rods.items()}
+        if not any(strains.values()):
+            return robot
+        return robot.replace(
+            closures=[
+                replace(loop, length=loop.length * (1.0 + strains.get(loop.name, 0.0))) if loop.length else loop
+                for loop in robot.closures
+            ]
+        )
 
     def growth_per_kelvin(self, robot: Robot) -> dict[str, float]:
         """Return the motion of each member's end along its own axes, by the names of error parameters [m/K]."""

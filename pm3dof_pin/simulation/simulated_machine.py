@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, real_array
+from pm3dof_pin.errors.body_temperatures import BodyTemperatures
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import (
     ANGLE_TOLERANCE,
@@ -37,6 +39,9 @@ class Conditions:
     #: temperature rise of each screw since the machine was as described, one number, or shape=(n, number of actuated
     #: joints) [K]
     temperature_rises: ArrayLike = 0.0
+    #: temperature rises by link, screw, rod or group of :class:`~pm3dof_pin.errors.body_temperatures.BodyTemperatures`,
+    #: one number each, or shape=(n,) [K]
+    body_rises: Mapping[str, ArrayLike] = field(default_factory=dict)
     #: dead wrenches [f; m] on the tool, world axes, shape=(6,) or (n, 6) [N, N m]; none by default
     wrenches: ArrayLike | None = None
     hours: ArrayLike = 0.0  #: time since the machine was as described, one number, or shape=(n,) [h]
@@ -175,7 +180,22 @@ class SimulatedMachine:
         wrenches = None
         if conditions.wrenches is not None:
             wrenches = _rows("wrenches", conditions.wrenches, (len(commands), 6))
-        return self._at(commands + self._scales * too_far, guesses, rises.mean(axis=1), offsets, wrenches)
+        carried = self._at(commands + self._scales * too_far, guesses, rises.mean(axis=1), offsets, wrenches)
+        if not conditions.body_rises:
+            return carried
+        heat = BodyTemperatures(self.nominal, self._bearings)
+        return moved_pose(carried, heat.motions(self.nominal.forward(commands, guess=guesses), conditions.body_rises))
+
+    @property
+    def _bearings(self) -> Vector:
+        """The fixed bearings of the screws; at the joints' zeros if neither growth nor geometry declares them."""
+        if self.thermal is not None:
+            return self.thermal.bearings
+        return (
+            np.zeros(len(self.nominal.actuated_joints))
+            if self.geometric is None
+            else self.geometric.errors.fixed_bearings
+        )
 
     def _at(self, commands: Array, guesses: Array, rises: Array, offsets: Array, wrenches: Array | None) -> Array:
         """Return the poses; rows with the same geometry are computed together.
@@ -193,6 +213,8 @@ class SimulatedMachine:
         for state in np.unique(states, axis=0):
             rows = np.flatnonzero((states == state).all(axis=1))
             robot = changing.apply(state) if state.any() else crooked
+            if self.thermal is not None:
+                robot = self.thermal.with_rods(robot, float(rises[rows[0]]))
             transforms[rows] = robot.forward(commands[rows], guess=guesses[rows]).transforms
         if self.elastic is None:
             return transforms

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.errors.body_temperatures import rises_of
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import GeometricErrors, beside_guideways
 from pm3dof_pin.errors.sensitivity import closable
@@ -156,6 +157,8 @@ class World:
         if TEMPERATURE in conditions:
             rises = np.repeat(conditions[TEMPERATURE][:, None], commands.shape[1], axis=1)
             surroundings = replace(surroundings, temperature_rises=rises)
+        if warm := rises_of(conditions):
+            surroundings = replace(surroundings, body_rises=warm)
         return replace(surroundings, wrenches=wrenches_of(conditions, self.machine.nominal, len(commands)))
 
 

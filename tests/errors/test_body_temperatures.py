@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,10 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference
 from pm3dof_pin.exceptions import InvalidValueError
 
-ROBOTS = ("pm3dof", "hexapod", "linear_delta", "three_rps")
+MACHINES = Path(__file__).parents[1] / "machines"
+SHIPPED = ("pm3dof", "hexapod", "linear_delta", "three_rps", "ankle_rus", "ankle_spu")
+OTHERS = ("agile_eye", "delta", "five_bar", "four_bar", "four_rrr", "three_rpr")
+ROBOTS = (*SHIPPED, *(str(MACHINES / name) for name in OTHERS))
 EXPANSION = 11.5e-6
 
 
@@ -57,6 +62,6 @@ def test_one_link_of_the_hexapod_lengthens() -> None:
 
 def test_unknown_bodies_are_refused() -> None:
     heat = BodyTemperatures.from_errors(GeometricErrors.load("pm3dof"))
-    with pytest.raises(InvalidValueError, match="spindle"):
-        heat.warmed({"spindle": 3.0})
+    with pytest.raises(InvalidValueError, match="turret"):
+        heat.warmed({"turret": 3.0})
     assert {"all", "platform", "slider1_joint"} <= set(heat.names)
