@@ -176,7 +176,9 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
         f"{measured['count']} measurements{poses}, method {summary['method']}",
         "; ".join(
             [
-                f"{known.identified} of {len(known.names)} parameters identified",
+                f"{known.identified} of {len(known.names)} parameters identified"
+                if calibration.options.identifies
+                else "no parameters identified: corrections are learned from the deviations of the commands",
                 *named,
                 f"noise factor {found.noise_factor:.2f}",
             ]

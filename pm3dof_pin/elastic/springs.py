@@ -6,8 +6,10 @@ An entry is a mapping with a `name`, a `type` and the keys of that type:
 - axial: elastic along an axis; `at`, `axis`, `stiffness`, `unit: N/m`.
 - cantilever: the tip of a cantilever; `at`, `axis`, `bending_stiffness` (E I), `torsional_stiffness` (G J),
   `unit: N m^2`, `length`, a number [m] or {joint, at_zero}; axially rigid unless there is `axial_stiffness` [N], its
-  E A; rigid in shear (Euler-Bernoulli) unless there is `shear_stiffness` [N], its k G A (Timoshenko); `mass` [kg], the
-  part of the body before it that bends with it; `elements`, the number of equal elements, 1 by default.
+  E A; `shear_stiffness` [N], its k G A (Timoshenko). Without it a beam is rigid in shear (Euler-Bernoulli), unless its
+  E A gives the section and it is stubby: then it has that of a round bar, and a warning says so; `rigid` declines.
+  `mass` [kg], the part of the body before it that bends with it; `elements`, the number of equal elements, by default
+  1.
 - beam: any 6 x 6 stiffness of a tip; `at`, `matrix`.
 - closure: an elastic loop closure; `closure`, its index in the list of closures, from 0; `matrix`, with a row for each
   component that the closure holds, 3 x 3 for type 3d, 6 x 6 for 6d.
@@ -24,8 +26,9 @@ axes of `at` (of the closure's first frame), in the order x, y, z, rx, ry, rz [N
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
@@ -43,6 +46,10 @@ from pm3dof_pin.tolerances import ROUNDING, SOLVED
 from pm3dof_pin.typing import Matrix
 
 JointSpringUnit = Literal["N/m", "N m/rad"]
+
+_log = logging.getLogger(__name__)
+
+_STUBBY = 0.05  # of the lateral give in bending, from which on shear counts
 
 MAX_ELEMENTS = 100
 """Largest number of elements of one cantilever."""
@@ -221,7 +228,7 @@ class _Cantilever(_Entry):
     unit: Literal["N m^2"]
     axial_stiffness: Stiffness | None = None
     elements: int = 1
-    shear_stiffness: Stiffness | None = None
+    shear_stiffness: Stiffness | Literal["rigid"] | None = None
     mass: float = 0.0
     loss_factor: float | None = None
 
@@ -273,11 +280,38 @@ def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tu
             )
         try:
             form = checked(_with_contact(entry, source, element), SPRING_SCHEMAS[kind], source, element)
-            springs.append(form.makes(**{field.name: getattr(form, field.name) for field in fields(form.makes)}))
+            values = {field.name: getattr(form, field.name) for field in fields(form.makes)}
+            is_rigid = values.get("shear_stiffness") == "rigid"
+            spring = form.makes(**values | ({"shear_stiffness": None} if is_rigid else {}))
+            springs.append(spring if is_rigid else _with_shear(spring, source))
         except InvalidValueError as error:
             place = f"{element}.{error.name}"
             raise DescriptionError(source, place, f"is {error.value}, expected {error.expected}") from error
     return tuple(springs)
+
+
+def _with_shear(spring: Spring, source: Path | str) -> Spring:
+    """Return a stubby beam of known section with the shear of a round bar, if its file does not say.
+
+    The radius is that of E I and E A, Poisson's ratio that of E I and G J. Beams whose length a joint changes are
+    judged at the joint's zero.
+    """
+    if not isinstance(spring, CantileverSpring) or spring.shear_stiffness is not None or spring.axial_stiffness is None:
+        return spring
+    length = spring.length.at_zero if isinstance(spring.length, JointLength) else spring.length
+    radius_squared = 4.0 * spring.bending_stiffness / spring.axial_stiffness
+    poisson = min(max(spring.bending_stiffness / spring.torsional_stiffness - 1.0, 0.0), 0.5)
+    coefficient = 6.0 * (1.0 + poisson) / (7.0 + 6.0 * poisson)  # of a round section, G. Cowper 1966
+    shear = coefficient * spring.axial_stiffness / (2.0 * (1.0 + poisson))
+    share = 3.0 * spring.bending_stiffness / (shear * length**2) if length > 0.0 else np.inf
+    if share < _STUBBY:
+        return spring
+    _log.warning(
+        "%s: spring '%s' is %.3g m long and about %.3g m thick: shear adds %.0f %% to its lateral give. Taken: "
+        "shear_stiffness %.4g N, of a round bar; declare your own, or rigid",
+        *(source, spring.name, length, 2.0 * np.sqrt(radius_squared), 100.0 * share, shear),
+    )
+    return replace(spring, shear_stiffness=shear)
 
 
 def _with_contact(entry: Mapping[str, Any], source: Path | str, element: str) -> dict[str, Any]:

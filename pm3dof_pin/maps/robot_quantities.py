@@ -37,6 +37,12 @@ def _command_unit(mapped: MappedRobot) -> str:
     return _listed_units((command.unit, command.name) for command in mapped.robot.commands)
 
 
+def _chatter_free_cutting(negative_real_part: Array) -> Array:
+    """Return -1 / (2 Re G) at the most negative Re G (J. Tlusty and M. Polacek, 1963); infinite if it never is."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(-0.5 / np.where(negative_real_part < 0.0, negative_real_part, -0.0))
+
+
 def _force_unit(mapped: MappedRobot) -> str:
     """Return the units of the forces of the actuated joints."""
     robot = mapped.robot
@@ -191,6 +197,14 @@ ROBOT_QUANTITIES = (
         lambda evaluation: evaluation.dynamic_stiffness.negative_real_part,
         "m/N (x, y, z), rad/(N m) (rx, ry, rz)",
         "most negative real part of the receptance along each axis, which limits the depth of cut",
+        (_AXIS,),
+        has_drives_and_tool,
+    ),
+    Quantity(
+        "chatter_free_cutting",
+        lambda evaluation: _chatter_free_cutting(evaluation.dynamic_stiffness.negative_real_part),
+        "N/m (x, y, z), N m/rad (rx, ry, rz)",
+        "cutting force per chip thickness along each axis below which no cut chatters: depth limit times K_s",
         (_AXIS,),
         has_drives_and_tool,
     ),

@@ -222,6 +222,7 @@ def test_a_plan_is_measured_and_a_network_trained(place: Path, run: Run, answer:
     result = run("calibrate", "p.csv", "--method", "nn", "--out", "positions", cwd=place)
     assert result.returncode == 0, result.stderr
     assert "shows 1 of the 3 motions of the drives" in result.stderr
+    assert "no parameters identified" in result.stdout
     assert not (place / "positions" / "calibrated").exists()
 
 

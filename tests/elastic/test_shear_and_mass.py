@@ -14,7 +14,7 @@ from pm3dof_pin.elastic.buckling import search_buckling
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.elastic.report import cartesian_compliance
-from pm3dof_pin.elastic.springs import CantileverSpring, JointLength, JointSpring
+from pm3dof_pin.elastic.springs import CantileverSpring, JointLength, JointSpring, read_springs
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -120,3 +120,24 @@ def test_a_beam_heavier_than_its_body_is_refused(rigid_tree: RigidTree) -> None:
     for keys in ({"shear_stiffness": -1.0}, {"mass": -0.1}, {"mass": np.inf}):
         with pytest.raises(InvalidValueError, match=next(iter(keys))):
             CantileverSpring("bar", "end", (0, 0, 1), EI, GJ, LENGTH, **keys)
+
+
+def test_stubby_beams_of_known_section_shear(caplog: pytest.LogCaptureFixture) -> None:
+    """k G A of a round steel bar of 20 mm, twice as long as thick, from E I, G J and E A; a slender one has none."""
+    young, poisson, radius = 2.1e11, 0.29, 0.01
+    shear_modulus, area = young / (2.0 * (1.0 + poisson)), np.pi * radius**2
+    bar = {
+        **{"name": "bar", "type": "cantilever", "at": "end", "axis": [0, 0, 1], "unit": "N m^2"},
+        "bending_stiffness": young * np.pi * radius**4 / 4.0,
+        "torsional_stiffness": shear_modulus * np.pi * radius**4 / 2.0,
+        "axial_stiffness": young * area,
+    }
+    (stubby,) = read_springs([bar | {"length": 0.04}], "closures.yaml")
+    assert isinstance(stubby, CantileverSpring)
+    coefficient = 6.0 * (1.0 + poisson) / (7.0 + 6.0 * poisson)
+    assert stubby.shear_stiffness == pytest.approx(coefficient * shear_modulus * area, rel=1e-9)
+    assert "0.02 m thick: shear adds 14 % to its lateral give" in caplog.text
+    for given in ({"length": 0.4}, {"length": 0.04, "shear_stiffness": "rigid"}):
+        (other,) = read_springs([bar | given], "closures.yaml")
+        assert isinstance(other, CantileverSpring)
+        assert other.shear_stiffness is None

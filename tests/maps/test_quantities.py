@@ -16,6 +16,7 @@ from pm3dof_pin.chapter.elastic_stiffness import contribution_names, elastic_sti
 from pm3dof_pin.chapter.kinematics import inverse_kinematics
 from pm3dof_pin.cli import completion
 from pm3dof_pin.dynamics.batch import natural_frequencies
+from pm3dof_pin.dynamics.receptance import vibrating_system
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
@@ -261,3 +262,15 @@ def test_units_of_entries() -> None:
     assert unit_of_entry(units, "y") == "N/m"
     assert unit_of_entry(units, "rz") == "N m/rad"
     assert unit_of_entry("Hz", "3") == "Hz"
+
+
+def test_chatter_free_cutting_is_that_of_the_most_negative_receptance() -> None:
+    """-1 / (2 min Re G) of the tool along z, from the receptance over a fine sweep of frequencies."""
+    robot = Robot.load("pm3dof")
+    poses = robot.solve(robot.grid(z_e=(0.45, 0.53, 2)))
+    found = QUANTITIES["chatter_free_cutting"].compute(Evaluation(MappedRobot(robot), poses))
+    for row, limits in enumerate(found):
+        system = vibrating_system(ElasticModel(robot), poses.q[row])
+        tool = system.rows(["tool:z"])
+        direct = system.receptance(system.frequencies_around_modes(), tool, tool)[:, 0, 0]
+        assert limits[2] == pytest.approx(-0.5 / direct.real.min(), rel=5e-3)
