@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pm3dof_pin.description.own_files import MANIFEST, is_within, require_own
+from pm3dof_pin.description.origin import Origin
+from pm3dof_pin.description.own_files import MANIFEST, is_within, package_name, require_own
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.typing import Array
@@ -42,7 +43,7 @@ def find_mesh(files: RobotFiles, name: str) -> Path:
     if not found:
         raise DescriptionError(files.path, place, "expected an existing file")
     path, own = next(((path, own) for path, own in found if is_within(path, own)), found[0])
-    require_own(path, own, files.path, place)
+    require_own(path, own, Origin(files.path), place)
     path = path.resolve()
     if path.suffix.lower() not in _KINDS:
         raise DescriptionError(files.path, place, f"expected a file of type {', '.join(sorted(_KINDS))}")
@@ -64,7 +65,7 @@ def _candidates(files: RobotFiles, name: str) -> Iterator[tuple[Path, Sequence[P
         is_package = is_name and (above in files.own_folders or (above / package / MANIFEST).is_file())
         yield above / package / relative, [*files.own_folders, *([above / package] if is_package else [])]
     for above in (*files.package_paths, folder, *folder.parents):
-        if is_name and above.name == package:
+        if is_name and package in (above.name, package_name(above)):
             is_package = (above / MANIFEST).is_file()
             yield above / relative, [*files.own_folders, *([above] if is_package else [])]
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.description.origin import Origin
 
 MANIFEST = "package.xml"
 """The file that marks a ROS package."""
 
 _PARTS = ("urdf", "xacro", "robots", "mjcf", "sdf", "xml", "srdf")
+_MAX_MANIFEST = 1 << 16  # characters
 _MAX_LEVELS = 4  # how far above a file its package is searched
 
 
@@ -27,19 +29,27 @@ def package_of(path: Path) -> Path:
     return folder.parent if folder.name in _PARTS else folder
 
 
+def package_name(folder: Path) -> str:
+    """Return the name that a folder's package.xml gives it, which need not be the folder's own; "" without one."""
+    try:
+        with (folder / MANIFEST).open(encoding="utf-8", errors="replace") as file:
+            text = file.read(_MAX_MANIFEST)
+    except OSError:
+        return ""
+    found = re.search(r"<name>\s*([^<\s]+)\s*</name>", text)
+    return found[1] if found else ""
+
+
 def is_within(path: Path, folders: Iterable[Path]) -> bool:
     """Return whether a file is in one of the folders, following symbolic links."""
     place = path.resolve()
     return any(place.is_relative_to(folder.resolve()) for folder in folders)
 
 
-def require_own(path: Path, folders: Iterable[Path], described: Path, place: str) -> None:
-    """Refuse a file outside the folders, naming the description and the place that refers to it."""
+def require_own(path: Path, folders: Iterable[Path], origin: Origin, place: str) -> None:
+    """Refuse a file outside the folders, naming where and what refers to it."""
     folders = list(folders)
     if not is_within(path, folders):
         listed = ", ".join(map(str, folders))
-        raise DescriptionError(
-            described,
-            place,
-            f"is {path.resolve()}, expected a file in {listed}, or in a folder given by --package-path",
-        )
+        problem = f"is {path.resolve()}, expected a file in {listed}, or in a folder given by --package-path"
+        raise origin.error(place, problem)

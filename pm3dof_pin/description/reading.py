@@ -43,7 +43,7 @@ def read_description(files: RobotFiles, *, lenient: bool = False) -> Description
     if description.closures and not description.actuated_joints and description.drives:
         driven = dict.fromkeys(drive.joint for drive in description.drives)
         description = replace(description, actuated_joints=tuple(driven))
-    description = _without_limits_of_zero(description)
+    description = _without_limits_of_zero(_with_turns_counted(description))
     if files.srdf is not None:
         description = _with_srdf(description, files)
     return replace(description, files=files)
@@ -58,7 +58,7 @@ def _read_mjcf(files: RobotFiles, lenient: bool) -> Description:
 
 
 def _read_sdf(files: RobotFiles, lenient: bool) -> Description:
-    return read_sdf(files.read_tree(), lenient=lenient)
+    return read_sdf(files.read_tree(), files.own_folders, lenient=lenient)
 
 
 READERS: Mapping[str, Callable[[RobotFiles, bool], Description]] = MappingProxyType(
@@ -115,6 +115,19 @@ def _with_joint_types(description: Description, file: ClosuresFile) -> Descripti
 def _universal_axes(kind: str) -> str:
     found = re.fullmatch(r"UJOINT_([XYZ])(?!\1)([XYZ])", kind.upper())
     return found[1] + found[2] if found else ""
+
+
+def _with_turns_counted(description: Description) -> Description:
+    """Return a description whose continuous joints count their turns where others follow them by a broken ratio."""
+    counted = {
+        name: replace(joint, type="revolute", lower=None, upper=None)
+        for coupling in description.couplings
+        for name, powers in zip(coupling.joints, coupling.coefficients, strict=True)
+        if (joint := description.joint_by_name.get(name)) is not None
+        and joint.type == "continuous"
+        and (len(powers) > 1 or powers[0] % 1.0 or description.joint(coupling.joint).type == "prismatic")
+    }
+    return description.with_joints(counted) if counted else description
 
 
 def _without_limits_of_zero(description: Description) -> Description:

@@ -18,6 +18,7 @@ import functools
 import io
 import json
 import os
+import re
 import sys
 from typing import Any
 
@@ -87,7 +88,7 @@ def _close(xacro: Any, substitution: Any, folders: list[str]) -> None:
 
     def find(package: str) -> str:
         candidates = [os.path.join(folder, package) for folder in folders]
-        candidates += [folder for folder in folders if os.path.basename(folder) == package]
+        candidates += [folder for folder in folders if package in (os.path.basename(folder), _package_name(folder))]
         for candidate in candidates:
             if os.path.isdir(candidate) and _is_within(candidate, folders):
                 return candidate
@@ -98,6 +99,16 @@ def _close(xacro: Any, substitution: Any, folders: list[str]) -> None:
     substitution._eval_find = substitution._eval_dict["find"] = find
     for name in _NOT_OFFERED:
         dict.pop(xacro._global_symbols["python"], name, None)
+
+
+def _package_name(folder: str) -> str:
+    """Return the name that a folder's package.xml gives it, which need not be the folder's own."""
+    try:
+        with open(os.path.join(folder, "package.xml"), encoding="utf-8", errors="replace") as file:
+            found = re.search(r"<name>\s*([^<\s]+)\s*</name>", file.read(1 << 16))
+    except OSError:
+        return ""
+    return found[1] if found else ""
 
 
 def _is_within(path: str, folders: list[str]) -> bool:

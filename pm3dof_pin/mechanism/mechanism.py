@@ -481,7 +481,9 @@ def _coordinate_names(model: pin.Model) -> tuple[str, ...]:
 
 def _limits(model: pin.Model, limits: Vector, unlimited: float) -> Vector:
     """Put `unlimited` where Pinocchio has no limit: for cosines, sines, quaternions, and its greatest number."""
-    limited = np.array(list(model.hasConfigurationLimit()), dtype=bool) & (np.abs(limits) < np.finfo(float).max)
+    limited = np.abs(limits) < np.finfo(float).max
+    for joint in list(model.joints)[1:]:  # Pinocchio says twice that helical joints, of one coordinate, have limits
+        limited[joint.idx_q : joint.idx_q + joint.nq] &= list(joint.hasConfigurationLimit)[: joint.nq]
     return np.where(limited, limits, unlimited)
 
 

@@ -294,6 +294,9 @@ def test_a_xacro_reads_its_package_and_those_it_is_given(tmp_path: Path) -> None
     text = expand_xacro(path, package_paths=[tmp_path])
     assert '<link name="common" />' in text
     assert '<link name="l0.25" />' in text
+    (tmp_path / "parts").rename(tmp_path / "renamed")
+    (tmp_path / "renamed" / "package.xml").write_text("<package><name>parts</name></package>", encoding="utf-8")
+    assert expand_xacro(path, package_paths=[tmp_path / "renamed"]) == text
 
 
 def test_an_expansion_that_ends_early_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -199,6 +199,20 @@ def test_a_mimic_joint_follows(write_robot: Writer) -> None:
     assert robot.actuated_joints == ("elbow",)
 
 
+@pytest.mark.parametrize(("kind", "nq"), [("revolute", 1), ("prismatic", 1)])
+def test_a_joint_that_others_follow_by_a_broken_ratio_counts_its_turns(write_robot: Writer, kind: str, nq: int) -> None:
+    """After a turn and a quarter of the pinion, a finger of ratio 0.3 is at 0.75 pi, and not at 0.15 pi."""
+    fingers = ARM.replace('type="revolute"', 'type="continuous"').replace("</robot>", "") + (
+        f'<link name="finger"/><joint name="finger_joint" type="{kind}"><parent link="base"/><child link="finger"/>'
+        '<mimic joint="elbow" multiplier="0.3"/></joint></robot>'
+    )
+    robot = Robot.load(write_robot(fingers, NO_CLOSURES))
+    poses = robot.forward([2.5 * np.pi])
+    assert poses.configuration().joint_position("finger_joint") == pytest.approx(0.75 * np.pi, abs=1e-12)
+    whole = Robot.load(write_robot(fingers.replace('multiplier="0.3"', 'multiplier="2"'), NO_CLOSURES))
+    assert whole.model.nq == (2 if kind == "revolute" else 1) + nq
+
+
 @pytest.mark.parametrize("limit", ["", '<limit effort="1" velocity="1"/>'])
 def test_a_joint_without_limits_is_unlimited(write_robot: Writer, limit: str) -> None:
     described = '<limit lower="-1" upper="2" effort="1" velocity="1"/>'

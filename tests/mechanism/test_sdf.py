@@ -191,7 +191,11 @@ def test_these_files_are_valid(tmp_path: Path, text: str) -> None:
         ("0 0.3 0 0 0 0", "0 0.3 nan 0 0 0", "not 'nan'"),
         ('link name="crank"', 'link name="ground"', "defined twice"),
         ("<model name", "<model name='other'/><model name", "has 2 models, expected one"),
-        ("</model>", "<include><uri>model://x</uri></include></model>", "<include>: is not supported.*lenient"),
+        (
+            "</model>",
+            "<include><uri>model://x</uri></include></model>",
+            "<include>: expected a model in or next to the file.*lenient",
+        ),
         ("</model>", "<jonit/></model>", "<jonit>: is unknown in <model>, expected <joint>.*lenient"),
         ("</model>", '<link name="lost"/></model>', "no joint connects 'lost' to 'world'"),
     ],
@@ -199,3 +203,72 @@ def test_these_files_are_valid(tmp_path: Path, text: str) -> None:
 def test_a_damaged_file_is_one_error(tmp_path: Path, old: str, new: str, said: str) -> None:
     with pytest.raises(DescriptionError, match=said):
         Robot.load(_written(tmp_path, FOUR_BAR.replace(old, new, 1)))
+
+
+ARM = """<sdf version="1.9"><model name="arm"><pose>9 9 9 0 0 0</pose><link name="upper"/>
+<link name="fore"><pose>0.5 0 0 0 0 0</pose></link><joint name="elbow" type="revolute"><parent>upper</parent>
+<child>fore</child><axis><xyz>0 0 1</xyz><limit><effort/></limit><dynamics><damping/></dynamics></axis></joint>
+</model></sdf>"""
+CELL = """<sdf version="1.9"><world name="w"><include><uri>model://sun</uri></include>
+<include><uri>model://ground</uri></include><model name="cell"><link name="base"/>
+<include><uri>model://arm</uri><name>left</name><pose>0 1 0 0 0 1.5707963267948966</pose></include>
+<joint name="mount" type="fixed"><parent>base</parent><child>left::__model__</child></joint></model></world></sdf>"""
+
+
+@pytest.fixture
+def model_folders(tmp_path: Path) -> Path:
+    """A folder of models, each with its model.config; return the file of a cell that includes another."""
+    for name, text in {"arm": ARM, "ground": ARM.replace("<pose>", "<static>true</static><pose>", 1)}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "arm.sdf").write_text(text, encoding="utf-8")
+        config = "<model><sdf version='1.6'>old.sdf</sdf><sdf version='1.10'>arm.sdf</sdf></model>"
+        (tmp_path / name / "model.config").write_text(config, encoding="utf-8")
+    (tmp_path / "cell").mkdir()
+    path = tmp_path / "cell" / "cell.sdf"
+    path.write_text(CELL, encoding="utf-8")
+    return path
+
+
+def test_models_are_included_from_folders_next_to_the_file(model_folders: Path) -> None:
+    """The include places the arm a metre to the left, turned by 90 degrees, instead of where its own file does."""
+    description = Robot.load(model_folders).description
+    assert [joint.name for joint in description.joints] == ["mount", "left::elbow"]
+    np.testing.assert_allclose(description.zero_placements["left::fore"].translation, [0.0, 1.5, 0.0], atol=1e-12)
+    assert "sun" in next(str(part) for part in description.unread if "<include>" in part.element)
+    assert any("beside the robot" in part.reason for part in description.unread)
+    elbow = description.joint("left::elbow")
+    assert (elbow.effort, elbow.damping) == (None, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("model://arm", "model://../arm", "line 3: <include>: expected a model"),
+        ("model://arm", "../../outside.sdf", "line 3: <include>: is .*outside.sdf, expected a file in"),
+        ("model://arm", "https://fuel/arm", "line 3: <include>: expected a model"),
+        ("<include><uri>model://arm", '<include merge="true"><uri>model://arm', "line 3: <include>: .*with merge"),
+        ("<name>left", "<placement_frame>x</placement_frame><name>left", "<include>: .*with <placement_frame>"),
+        ("model://arm", "model://cell", "nested more than 20 deep"),
+    ],
+)
+def test_what_cannot_be_included_is_refused_by_line(model_folders: Path, old: str, new: str, message: str) -> None:
+    outside = model_folders.parents[2] / "outside.sdf"
+    outside.write_text(ARM, encoding="utf-8")
+    (model_folders.parent / "model.config").write_text("<model><sdf>own.sdf</sdf></model>", encoding="utf-8")
+    own = "<sdf><model name='m'><include><uri>model://cell</uri></include></model></sdf>"
+    (model_folders.parent / "own.sdf").write_text(own, encoding="utf-8")
+    assert CELL.count(old) == 1
+    model_folders.write_text(CELL.replace(old, new), encoding="utf-8")
+    with pytest.raises(DescriptionError, match=message):
+        Robot.load(model_folders)
+    outside.unlink()
+
+
+def test_a_screw_has_its_limits(tmp_path: Path) -> None:
+    path = tmp_path / "screw.sdf"
+    screw = _hinge("screw", "base", "nut", kind="screw").replace("</axis>", "<limit><lower>-1</lower></limit></axis>")
+    text = f'<sdf version="1.8"><model name="m"><link name="base"/><link name="nut"/>{screw}</model></sdf>'
+    path.write_text(text, encoding="utf-8")
+    robot = Robot.load(path)
+    np.testing.assert_array_equal(robot.lower_limits, [-1.0])
+    np.testing.assert_array_equal(robot.upper_limits, [np.inf])

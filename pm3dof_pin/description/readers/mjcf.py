@@ -399,7 +399,7 @@ class _MjcfReader(ElementReader):
                 faces = _hull(vertices)
         else:
             path = self.document.asset_path(asset, "meshdir")
-            require_own(path, self.document.folders, self.document.path, named(asset))
+            require_own(path, self.document.folders, asset.origin, named(asset))
             if not path.is_file() or path.suffix.lower() == ".msh":
                 return None
             if not (parts := read_meshes(path)):

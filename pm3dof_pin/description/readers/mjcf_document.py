@@ -94,7 +94,7 @@ class MjcfDocument:
                 included = next((candidate for candidate in candidates if candidate.is_file()), candidates[0])
                 if included in within or len(within) > _MAX_NESTED:
                     raise entry.origin.error(place, "includes itself")
-                require_own(included, self.folders, self.path, place)
+                require_own(included, self.folders, entry.origin, place)
                 content = read_xml(included)
                 self._spend(content)
                 self._include(content, (*within, included))
@@ -150,7 +150,7 @@ class MjcfDocument:
         models: dict[str, Element] = {}
         for model in (entry for entry in self.sections("asset") if entry.tag == "model"):
             path = self.asset_path(model, "")
-            require_own(path, self.folders, self.path, named(model))
+            require_own(path, self.folders, model.origin, named(model))
             models[model.get("name") or read_xml(path).get("model") or path.stem] = model
         for parent in list(self.root.iter()):
             for index, entry in reversed(list(enumerate(parent))):
@@ -165,7 +165,7 @@ class MjcfDocument:
         path = self.asset_path(model, "")
         if path in self._within or len(self._within) > _MAX_NESTED:
             raise element.origin.error(place, "attaches itself")
-        require_own(path, self.folders, self.path, place)
+        require_own(path, self.folders, element.origin, place)
         other = MjcfDocument(path, self.folders, self._within, budget=self._budget)
         prefix = element.get("prefix", "")
         other.defaults.prefix(prefix)

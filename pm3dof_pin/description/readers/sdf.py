@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -36,6 +37,7 @@ from pm3dof_pin.description.inertia_checks import MOMENTS, inertia_matrix, inert
 from pm3dof_pin.description.origin import Origin
 from pm3dof_pin.description.physical_bounds import ANY, LENGTH, MASS, NOT_NEGATIVE, PRODUCT, SIZE, Bounds
 from pm3dof_pin.description.readers.elements import ElementReader, free_name, named
+from pm3dof_pin.description.readers.sdf_includes import included_model
 from pm3dof_pin.description.xml_file import Element, child, children
 
 WORLD = "world"
@@ -76,14 +78,17 @@ _JOINT_PARTS = ("parent", "child", "pose", "axis", "axis2", "screw_thread_pitch"
 _GEARS = ("gearbox_ratio", "gearbox_reference_body")
 
 
-def read_sdf(root: Element, *, lenient: bool = False) -> Description:
-    """Read the only model of an SDF from its root element.
+def read_sdf(root: Element, folders: tuple[Path, ...] = (), *, lenient: bool = False) -> Description:
+    """Read the only model of an SDF, or the only one that is not static, from its root element.
+
+    Models that it includes are read from its own folders and those next to them,
+    see :func:`~pm3dof_pin.description.readers.sdf_includes.included_model`.
 
     Raises:
         DescriptionError: there is no model or several, a number is malformed or impossible, a name is unknown, or an
             element that could carry a loop, a coupling or a drive is not supported.
     """
-    return _SdfReader(root, lenient=lenient).read()
+    return _SdfReader(root, folders, lenient=lenient).read()
 
 
 @dataclass(frozen=True)
@@ -104,9 +109,10 @@ class _Edge:
 
 
 class _SdfReader(ElementReader):
-    def __init__(self, root: Element, *, lenient: bool) -> None:
+    def __init__(self, root: Element, folders: tuple[Path, ...], *, lenient: bool) -> None:
         super().__init__(root.path, lenient=lenient)
         self.root = root
+        self.folders = folders
         self.elements: dict[str, Element] = {}  # links, frames, joints and models with a pose, by scoped name
         self.scopes: dict[str, str] = {}
         self.placements: dict[str, pin.SE3] = {WORLD: pin.SE3.Identity()}
@@ -116,10 +122,7 @@ class _SdfReader(ElementReader):
     def read(self) -> Description:
         """Read the model."""
         worlds = children(self.root, "world")
-        models = [model for part in (self.root, *worlds) for model in children(part, "model")]
-        if len(models) != 1:
-            raise self.root.origin.error("<sdf>", f"has {len(models)} models, expected one")
-        model = models[0]
+        model = self._only_model((self.root, *worlds))
         self._register(model, "")
         for name, element in self.elements.items():
             if element.tag == "link":
@@ -156,15 +159,40 @@ class _SdfReader(ElementReader):
             origin=self.root.origin,
         )
 
+    def _only_model(self, parts: tuple[Element, ...]) -> Element:
+        """Return the model; included and static ones, such as the ground, are read over where there is another."""
+        models = [model for part in parts for model in children(part, "model")]
+        for include in (include for part in parts for include in children(part, "include")):
+            found = included_model(include, self.folders)
+            if isinstance(found, Element):
+                models.append(found)
+            elif models:
+                self.read_over(include, found)
+            else:
+                self.refuse(include, found)
+        moving = [model for model in models if self._text(model, "static") not in ("true", "1")]
+        if len(moving) == 1:
+            for model in models:
+                if model is not moving[0]:
+                    self.read_over(model, "is static, beside the robot")
+            return moving[0]
+        if len(models) != 1:
+            raise self.root.origin.error("<sdf>", f"has {len(models)} models, expected one")
+        return models[0]
+
     # Names and poses
 
-    def _register(self, model: Element, scope: str) -> None:
+    def _register(self, model: Element, scope: str, depth: int = 0) -> None:
         self.check_children(model, _MODEL_PARTS, _MODEL_PASSED)
         for element in children(model):
             if element.tag == "plugin" and child(element, "joint_name") is None:
                 self.read_over(element)
             if element.tag == "include":
-                self.refuse(element, "is not supported: expected the model written out")
+                found = included_model(element, self.folders, depth)
+                if isinstance(found, str):
+                    self.refuse(element, found)
+                    continue
+                element = found
             if element.tag not in ("link", "joint", "frame", "model"):
                 continue
             name = f"{scope}{element.get('name', '')}"
@@ -174,12 +202,14 @@ class _SdfReader(ElementReader):
                 raise element.origin.error(f"{element.tag} '{name}'", "is defined twice, expected unique names")
             self.elements[name], self.scopes[name] = element, scope
             if element.tag == "model":
-                self._register(element, f"{name}::")
+                self._register(element, f"{name}::", depth + 1)
 
     def _resolved(self, name: str, scope: str, element: Element) -> str:
         """Return the scoped name of what a reference means; the model's own frame is that of its scope."""
         if name in ("", "__model__", "__root__"):
             return scope.removesuffix("::")
+        if name.endswith("::__model__"):
+            name = name.removesuffix("::__model__")
         if name == WORLD:
             return WORLD
         if f"{scope}{name}" not in self.elements:
@@ -252,7 +282,9 @@ class _SdfReader(ElementReader):
 
     def _value(self, element: Element | None, tag: str, bounds: Bounds, place: str, default: float) -> float:
         found = child(element, tag)
-        return default if found is None else self._texts(found, 1, bounds, f"{place}: {tag}")[0]
+        if found is None or not (found.text or "").strip():  # an empty element has the default value
+            return default
+        return self._texts(found, 1, bounds, f"{place}: {tag}")[0]
 
     # Links
 
