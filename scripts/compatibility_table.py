@@ -108,7 +108,10 @@ def _closure_cell(folder: Path, kind: str, dialect: str) -> str:
     if (again := _converted(write_chain(folder, kind), dialect)) is None:
         return "refused"
     types = [loop.type for loop in again.closures]
-    return "yes" if types == [kind] else f"as {', '.join(types)}" if types else "written, not read back"
+    if types == [kind] or not types:
+        return "yes" if types else "written, not read back"
+    added = again.model.njoints - 10
+    return f"as {', '.join(types)}" + (f" + {added} joint{'s' if added > 1 else ''}" if added > 0 else "")
 
 
 def _coupling_cell(folder: Path, coupling: Mapping[str, Any], dialect: str) -> str:

@@ -8,6 +8,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from pm3dof_pin.description.expand import DRAKE_NAMESPACE
 from pm3dof_pin.description.readers.urdf_loops import LOOP_TAGS
+from pm3dof_pin.export.equivalent_loops import with_closures_of
 from pm3dof_pin.export.plain_urdf import urdf_element
 from pm3dof_pin.export.robot_document import WORLD, RobotDocument
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
@@ -28,13 +29,16 @@ def drake_text(robot: RobotDocument) -> str:
     It is the robot's URDF, fixed to the world, with `<drake:ball_constraint>` for the loop closures, a transmission for
     every actuated joint, `<mimic>` for couplings, and a filter group for each body that the SRDF or a closure keeps
     from colliding with another. Drake's URDF has neither weld nor hinge: a 6d closure becomes three ball constraints,
-    at the origin of the two frames and on their x and y axes, a hinge two, on its axis. These are more equations than
+    at the origin of the two frames and on their x and y axes, a hinge two, on its axis; other closures get joints of
+    their own (:mod:`~pm3dof_pin.export.equivalent_loops`). These are more equations than
     their rank; the forces are not unique, but their resultant is. A plant accepts ball constraints only if it is
     discrete and uses SAP.
 
     Raises:
-        DescriptionError: a closure or coupling is none of these.
+        DescriptionError: a coupling is none of these.
+        ConvergenceError: such a closure does not close near the home configuration.
     """
+    robot = with_closures_of(robot, ("3d", "6d", "hinge"))
     root = urdf_element(robot.with_meshes_of(MESH_KINDS))
     _replace_foreign_elements(root, robot)
     _omit_unknown_limits(root, robot.mechanism.actuated_joints)

@@ -13,6 +13,7 @@ from pm3dof_pin.description.couplings import MAX_DEGREE, Coupling
 from pm3dof_pin.description.description import IDENTITY, Body, Drive, Inertial, Joint, Placement, Shape
 from pm3dof_pin.description.inertia_checks import inertia_matrix
 from pm3dof_pin.description.readers.elements import free_name
+from pm3dof_pin.export.equivalent_loops import with_closures_of
 from pm3dof_pin.export.robot_document import WORLD, RobotDocument, unit_axis
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
@@ -32,17 +33,19 @@ def mjcf_text(robot: RobotDocument, banner: str = _BANNER) -> str:
     """Write a robot as MJCF, with a banner in which `{name}` stands for its name.
 
     Each link becomes a body of its name, and joints keep their names and coordinates, so q is as in the URDF. The
-    frames of loop closures and the tool frame are also sites, `<frame>_site`: a `connect` (3d) or `weld` (6d) between
-    two sites closes the right loop in whichever configuration the file is loaded, unlike one between two bodies. A
-    hinge becomes two `connect` on its axis, a distance the length of a tendon, a coupling an equality of joints or of a
-    fixed tendon. Each actuated joint has an actuator: that of the description, or a motor of the joint's name. The
-    named configurations are keyframes.
+    frames of loop closures and the tool frame are also sites, `<frame>_site`: a `connect` (3d) or `weld` (6d)
+    between two sites closes the right loop in whichever configuration the file is loaded, unlike one between two
+    bodies. A hinge becomes two `connect` on its axis, a distance the length of a tendon, other closures joints of
+    their own (:mod:`~pm3dof_pin.export.equivalent_loops`), a coupling an equality of joints or of a fixed tendon.
+    Each actuated joint has an actuator: that of the description, or a motor of the joint's name. The named
+    configurations are keyframes.
 
     Raises:
-        DescriptionError: the end of a branch is movable and massless, which MuJoCo refuses; or a closure or coupling
-            is none of these.
+        DescriptionError: the end of a branch is movable and massless, which MuJoCo refuses; or a coupling is none of
+            these.
         ConvergenceError: the loops do not close near the home configuration.
     """
+    robot = with_closures_of(robot, ("3d", "6d", "hinge", "distance"))
     complete = robot.with_moving_mass("MuJoCo").with_meshes_of(MESH_KINDS)
     return document_text(_Writer(complete).document(), banner.replace("{name}", robot.name))
 

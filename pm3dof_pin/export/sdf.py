@@ -7,8 +7,10 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pinocchio as pin
 
+from pm3dof_pin.description.closure_types import ClosureTypeName
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.description import Body, Inertial, Joint, Placement, Shape
+from pm3dof_pin.export.equivalent_loops import with_closures_of
 from pm3dof_pin.export.robot_document import WORLD, RobotDocument, unit_axis
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
@@ -16,7 +18,13 @@ _VERSION = "1.7"
 """The first version with frames, and joints between them."""
 
 _VERSION_WITH_MIMIC = "1.11"
-_CLOSURES = {"3d": "ball", "6d": "fixed", "hinge": "revolute", "universal": "universal", "prismatic": "prismatic"}
+_CLOSURES: dict[ClosureTypeName, str] = {
+    "3d": "ball",
+    "6d": "fixed",
+    "hinge": "revolute",
+    "universal": "universal",
+    "prismatic": "prismatic",
+}
 
 _BANNER = "{name} in SDFormat, generated from its description by `pm3dof export sdf`. Edit that, not this file."
 
@@ -24,19 +32,19 @@ _BANNER = "{name} in SDFormat, generated from its description by `pm3dof export 
 def sdf_text(robot: RobotDocument) -> str:
     """Write a robot as SDFormat.
 
-    Links that move or have mass become links, on joints of the same names. Massless links at the end of a fixed joint
-    become frames, and their shapes belong to the link that carries them. Each loop closure becomes a joint
-    `<frame_a>_<frame_b>` of type `ball` (3d), `fixed` (6d), `revolute`, `universal` or `prismatic`; a coupling a
-    `mimic` (SDFormat 1.11). The root is fixed to the world. The poses are those of the home configuration, with the
-    loops closed, where every joint is at zero: if home is not at zero in the URDF, coordinates and limits are measured
-    from home.
+    Links that move or have mass become links, on joints of the same names. Massless links at the end of a fixed
+    joint become frames, and their shapes belong to the link that carries them. Each loop closure becomes a joint
+    `<frame_a>_<frame_b>` of type `ball` (3d), `fixed` (6d), `revolute`, `universal` or `prismatic`, others several
+    (:mod:`~pm3dof_pin.export.equivalent_loops`); a coupling a `mimic` (SDFormat 1.11). The root is fixed to the
+    world. The poses are those of the home configuration, with the loops closed, where every joint is at zero: if
+    home is not at zero in the URDF, coordinates and limits are measured from home.
 
     Raises:
-        DescriptionError: the end of a branch is movable and massless, which SDFormat cannot express; or a closure or
+        DescriptionError: the end of a branch is movable and massless, which SDFormat cannot express; or a
             coupling is none of these.
         ConvergenceError: the loops do not close near the home configuration.
     """
-    robot = robot.with_moving_mass("SDFormat")
+    robot = with_closures_of(robot, tuple(_CLOSURES)).with_moving_mass("SDFormat")
     root = Element("sdf", version=_VERSION_WITH_MIMIC if robot.mechanism.couplings else _VERSION)
     _Writer(robot, SubElement(root, "model", name=robot.name)).write()
     return document_text(root, _BANNER.format(name=robot.name))
@@ -60,8 +68,6 @@ class _Writer:
             self._closure(loop, *links)
 
     def _closure(self, loop: LoopClosure, one: str, other: str) -> None:
-        if loop.type not in _CLOSURES:
-            raise self._robot.refusal(loop, "SDFormat")
         kind = _CLOSURES[loop.type]
         # the world cannot be a child; a universal joint's first axis is that of its parent
         parent, child = (one, other) if one == WORLD or loop.type == "universal" else (other, one)

@@ -32,6 +32,9 @@ _SAYS = {
     "urdf": set(CLOSURE_TYPES),
     "ros": set(CLOSURE_TYPES),
 }
+"""Types that a format says itself; the others are written as joints of their own."""
+
+_BUILT = [(form, kind) for form, says in _SAYS.items() for kind in CLOSURE_TYPES if kind not in says]
 
 
 def _closed(robot: Robot) -> list[Configuration]:
@@ -47,15 +50,56 @@ def _motions(jacobian: Array) -> Array:
     return np.asarray(kept.T @ kept)
 
 
-@pytest.mark.parametrize("kind", CLOSURE_TYPES)
-@pytest.mark.parametrize("form", _SAYS)
-def test_a_type_is_written_or_refused_by_name(tmp_path: Path, form: str, kind: str) -> None:
+def _read_back(path: Path, form: str, folder: Path) -> Robot:
+    files = export_robot(path, form, folder)
+    return Robot.load(next((file for file in files if file.suffix == ".yaml"), files[0]))
+
+
+@pytest.mark.parametrize(("form", "kind"), [(form, kind) for form in ("urdf", "ros") for kind in CLOSURE_TYPES])
+def test_a_urdf_with_its_closures_file_says_every_type(tmp_path: Path, form: str, kind: str) -> None:
     path = write_chain(tmp_path, kind)
-    if kind in _SAYS[form]:
-        assert export_robot(path, form, tmp_path / "out")
-    else:
-        with pytest.raises(DescriptionError, match=f"closure seat-tip.*of type {kind} cannot be expressed"):
-            export_robot(path, form, tmp_path / "out")
+    files = export_robot(path, form, tmp_path / "out")
+    again = Robot.load(next(file for file in files if file.suffix == ".urdf"))
+    assert again.closures == Robot.load(path).closures
+
+
+@pytest.mark.parametrize(("form", "kind"), _BUILT)
+def test_a_type_that_a_format_cannot_say_is_built_of_joints(tmp_path: Path, form: str, kind: str) -> None:
+    """The file read back closes where the robot does, and its chain has the same motions there."""
+    path = write_chain(tmp_path, kind)
+    robot, again = Robot.load(path), _read_back(path, form, tmp_path / "out")
+    names = [f"joint{k}" for k in range(9)]
+    zeros = robot.home.q if form == "sdf" else np.zeros(9)  # there, coordinates are measured from home
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        configuration = robot.assemble(robot.configuration(robot.home.q + rng.uniform(-0.1, 0.1, 9)))
+        given = dict(zip(names, configuration.q - zeros, strict=True))
+        read = again.assemble(joints=given)
+        assert read.closure_residual < 1e-9
+        for k, name in enumerate(names):
+            frames = configuration.frame_placement(f"link{k}"), read.frame_placement(f"link{k}")
+            np.testing.assert_allclose(frames[0].homogeneous, frames[1].homogeneous, atol=1e-9, err_msg=name)
+        jacobian = read.constraint_jacobian
+        columns = again.velocity_indices(names)
+        others = np.setdiff1d(np.arange(again.model.nv), columns)
+        left = np.linalg.svd(jacobian[:, others])
+        free = left.U[:, np.sum(left.S > 1e-7) :].T  # constraints on the chain once the added joints are eliminated
+        np.testing.assert_allclose(
+            _motions(free @ jacobian[:, columns]), _motions(configuration.constraint_jacobian), atol=1e-7
+        )
+
+
+@pytest.mark.parametrize("kind", sorted(set(CLOSURE_TYPES) - _SAYS["mjcf"]))
+def test_mujoco_closes_what_is_built_of_joints(tmp_path: Path, kind: str) -> None:
+    path = write_chain(tmp_path, kind)
+    (file,) = export_robot(path, "mjcf", tmp_path / "out")
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mujoco.mj_forward(model, data)
+    rows = data.efc_J.reshape(-1, model.nv)[: data.ne]
+    np.testing.assert_allclose(data.efc_pos[: data.ne], 0.0, atol=1e-9)
+    assert model.nv - np.linalg.matrix_rank(rows, tol=1e-7) == 9 - CLOSURE_TYPES[kind].size  # Gruebler
 
 
 @pytest.mark.parametrize("kind", sorted(_SAYS["mjcf"]))

@@ -335,3 +335,40 @@ def test_files_that_multiply_without_end_are_refused(tmp_path: Path, kind: str) 
     (tmp_path / "m19.xml").write_text(f"<x>{body}</x>", encoding="utf-8")
     with pytest.raises(DescriptionError, match="expected at most 50000 elements"):
         read_mjcf(path)
+
+
+def test_a_short_keyframe_is_completed_by_the_initial_configuration(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(_arm('<joint name="j" ref="30"/>', body='quat="1 0 1 0"'), encoding="utf-8")
+    third = f'<body><joint name="b" type="ball"/>{_GEOM}</body>'
+    text = path.read_text(encoding="utf-8").replace("</worldbody>", f"{third}</worldbody>")
+    for numbers in ("0.5", "0.5 0.6", "0.5 0.6 0.6 0.8"):
+        key = f'<keyframe><key name="home" qpos="{numbers}"/></keyframe></mujoco>'
+        path.write_text(text.replace("</mujoco>", key), encoding="utf-8")
+        expected = mujoco.MjModel.from_xml_path(str(path)).key_qpos[0]
+        found = read_mjcf(path).configurations["home"]
+        ball = found["b"]
+        np.testing.assert_allclose([*found["j"], *found["second"], ball[3], *ball[:3]], expected, atol=1e-15)
+    path.write_text(path.read_text(encoding="utf-8").replace('qpos="', 'qpos="1 2 3 '), encoding="utf-8")
+    with pytest.raises(DescriptionError, match="line 1: <key name='home'>: qpos: expected 6 numbers, not 7"):
+        read_mjcf(path)
+
+
+def test_an_equality_of_bodies_that_do_not_move_is_read_over(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    weld = '<body name="post"/></worldbody><equality><weld body1="post"/></equality>'
+    path.write_text(_arm('<joint name="j"/>').replace("</worldbody>", weld), encoding="utf-8")
+    description = read_mjcf(path)
+    assert description.closures == ()
+    assert [part.reason for part in description.unread] == ["joins bodies that do not move to each other"]
+
+
+def test_a_tendon_around_something_is_refused_or_read_over(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    sites = "".join(f'<site name="s{k}" pos="{k} 0 1"/>' for k in range(3))
+    tendon = "<tendon><spatial name='t'>" + "".join(f"<site site='s{k}'/>" for k in range(3)) + "</spatial></tendon>"
+    tail = f"{sites}</worldbody>{tendon}<equality><tendon tendon1='t'/></equality>"
+    path.write_text(_arm('<joint name="j"/>').replace("</worldbody>", tail), encoding="utf-8")
+    with pytest.raises(DescriptionError, match=r"line 1: <spatial name='t'>: is held by an equality.*--lenient"):
+        read_mjcf(path)
+    assert read_mjcf(path, lenient=True).closures == ()

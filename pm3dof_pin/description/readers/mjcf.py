@@ -507,7 +507,7 @@ class _MjcfReader(ElementReader):
             if given.tag == "tendon":
                 tendon, excess = self._held_tendon(element, given)
                 if tendon is not None and tendon.tag == "spatial":
-                    closures.append(self._distance(tendon, given, excess))
+                    closures += self._distance(tendon, given, excess)
                 continue
             if given.tag not in ("connect", "weld"):
                 self.refuse(given, "is not supported")
@@ -521,8 +521,19 @@ class _MjcfReader(ElementReader):
                     raise given.origin.error(place, "expected existing sites")
             else:
                 frames = self._closure_frames(element, given, name, place)
+            if self._carrier(frames[0]) == self._carrier(frames[1]):
+                self.read_over(given, "joins bodies that do not move to each other")
+                continue
             closures.append(LoopClosure(frames[0], frames[1], "6d" if holds_turn else "3d", origin=given.origin))
         return tuple(closures)
+
+    def _carrier(self, frame: str) -> str:
+        """Return the body that moves a frame: none of those above it moves to it."""
+        above = {joint.child: joint for joint in self.joints}
+        body = self.frames[frame].body
+        while body in above and above[body].is_fixed:
+            body = above[body].parent
+        return body
 
     def _closure_frames(self, element: Element, given: Element, name: str, place: str) -> tuple[str, str]:
         """Add the frames at which an equality holds two bodies, by default as they are initially."""
@@ -559,16 +570,16 @@ class _MjcfReader(ElementReader):
             return None, 0.0
         return tendon, self.numbers(element, "polycoef", None, ANY, place, (0.0,))[0]
 
-    def _distance(self, tendon: Element, given: Element, excess: float) -> LoopClosure:
-        """Return the closure by which a straight tendon between two sites keeps its length."""
-        place = named(tendon)
+    def _distance(self, tendon: Element, given: Element, excess: float) -> list[LoopClosure]:
+        """Return the closure by which a straight tendon between two sites keeps its length; none for others."""
         frames = [self.sites.get(entry.get("site", ""), "") for entry in children(tendon, "site")]
         if len(frames) != len(children(tendon)) or len(frames) != 2 or not all(frames):
-            raise tendon.origin.error(place, "is held by an equality, expected two existing sites and nothing else")
+            self.refuse(tendon, "is held by an equality, expected two existing sites and nothing else")
+            return []
         ends = [self.initial[self.frames[name].body] * self.frames[name].placement.se3 for name in frames]
         length = float(np.linalg.norm(ends[1].translation - ends[0].translation)) + excess
         try:
-            return LoopClosure(frames[0], frames[1], "distance", length=length, origin=given.origin)
+            return [LoopClosure(frames[0], frames[1], "distance", length=length, origin=given.origin)]
         except InvalidValueError as error:
             raise given.origin.error(named(given), f"expected a positive length, not {length:g}") from error
 
@@ -761,16 +772,22 @@ class _MjcfReader(ElementReader):
 
     def _configurations(self, held: dict[str, float]) -> dict[str, dict[str, tuple[float, ...]]]:
         initial = {joint.name: numbers for joint, numbers in self.qpos if joint.name not in held}
-        count = sum(len(numbers) for _, numbers in self.qpos)
+        qpos0 = tuple(
+            number
+            for _, own in self.qpos
+            for number in (own if len(own) == 1 else (*own[:-4], own[-1], *own[-4:-1]))  # quaternions begin with w
+        )
+        count = len(qpos0)
         named_configurations = {_INITIAL: initial}
         for index, key in enumerate(entry for entry in self.document.sections("keyframe") if entry.tag == "key"):
             name = key.get("name") or f"key{index}"
             if "qpos" not in key.attrib:
                 named_configurations[name] = initial
                 continue
-            numbers = self.numbers(key, "qpos", count if count > 1 else None, ANY, named(key))
-            if len(numbers) != count:
+            numbers = self.numbers(key, "qpos", None, ANY, named(key))
+            if len(numbers) > count:
                 raise key.origin.error(f"{named(key)}: qpos", f"expected {count} numbers, not {len(numbers)}")
+            numbers += qpos0[len(numbers) :]  # a short one is completed by the initial configuration
             values, start = {}, 0
             for joint, own in self.qpos:
                 part = numbers[start : start + len(own)]
