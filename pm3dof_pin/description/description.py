@@ -39,6 +39,8 @@ MAX_BODIES = 10_000
 MAX_IN_A_ROW = 200
 """Longest chain of bodies, and most movable joints: Pinocchio's data take 60 bytes times their number cubed."""
 
+_FREE = 6  # degrees of freedom of a free body
+_NEUTRAL: Mapping[str, tuple[float, ...]] = {"floating": (0.0,) * 6 + (1.0,), "spherical": (0.0, 0.0, 0.0, 1.0)}
 _MAX_FLOATING = 40  # free bodies, which need memory as their number cubed
 
 
@@ -386,29 +388,55 @@ class Description:
         return next(body for body in self.bodies if body.name not in self.joint_above)
 
     @property
-    def floating_base(self) -> Joint | None:
-        """The floating joint between the root and all the joints of the robot, if it has one."""
-        for joint in self.joints_below[self.root.name]:
-            if joint.type == "floating" and all(
-                other.is_fixed or joint in self.joints_to(other.child) for other in self.joints
-            ):
-                return joint
-        return None
+    def floating_base(self) -> tuple[Joint, ...]:
+        """The joints, of six degrees of freedom, between the root and all others of the robot; none if it is held.
+
+        A floating joint, or slides and turns in a row that nothing drives, with massless bodies between them.
+        """
+        driven = {*self.actuated_joints, *(drive.joint for drive in self.drives)}
+        found: list[Joint] = []
+        body = self.root.name
+        while sum(joint.dof for joint in found) < _FREE:
+            below = [joint for joint in self.joints_below[body] if not joint.is_fixed]
+            moving = [joint for joint in self.joints if not joint.is_fixed and joint not in found]
+            carriers = [joint for joint in below if all(joint in self.joints_to(other.child) for other in moving)]
+            if len(carriers) != 1 or carriers[0].name in driven or (found and self.body_by_name[body].mass):
+                return ()
+            found += carriers
+            body = carriers[0].child
+        translations = sum(joint.type == "prismatic" for joint in found)
+        return tuple(found) if len(found) == 1 or translations == _FREE // 2 else ()
 
     def with_base_held(self, configuration: str = "home") -> Description:
-        """Return the robot with its floating base, if it has one, held where a named configuration has it."""
-        base = self.floating_base
-        if base is None:
+        """Return the robot with its floating base, if it has one, held where a named configuration has it.
+
+        Closures that then join bodies of which neither moves are left out, unless springs or limits name closures.
+        """
+        values = self.configurations.get(configuration, {})
+        fixed = {}
+        for base in self.floating_base:
+            motion = _motion(base, values.get(base.name, _NEUTRAL.get(base.type, (0.0,))))
+            placed = base.placement if motion.isIdentity(0.0) else Placement.from_se3(base.placement.se3 * motion)
+            fixed[base.name] = replace(base, type="fixed", placement=placed, zero=0.0)
+        if not fixed:
             return self
-        held = self.configurations.get(configuration, {}).get(base.name)
-        placement = base.placement if held is None else Placement.from_se3(base.placement.se3 * pin.XYZQUATToSE3(held))
-        fixed = replace(base, type="fixed", placement=placement)
         configurations = {
-            name: {joint: value for joint, value in values.items() if joint != base.name}
+            name: {joint: value for joint, value in values.items() if joint not in fixed}
             for name, values in self.configurations.items()
         }
-        joints = tuple(fixed if joint is base else joint for joint in self.joints)
-        return replace(self, joints=joints, configurations=configurations)
+        described = replace(self.with_joints(fixed), configurations=configurations)
+        bodies = {frame.name: frame.body for frame in self.frames} | {joint.name: joint.child for joint in self.joints}
+        if self.springs or any(group.closures for group in self.limit_groups):
+            return described
+        moving = tuple(
+            loop
+            for loop in self.closures
+            if any(
+                not all(joint.is_fixed for joint in described.joints_to(bodies.get(name, name)))
+                for name in (loop.frame_a, loop.frame_b)
+            )
+        )
+        return replace(described, closures=moving)
 
     def joint(self, name: str, where: str = "") -> Joint:
         """Return a joint by name; JointNotFoundError if there is none."""
@@ -456,6 +484,17 @@ def universal_hinges(joint: Joint, cross: str, axes: str) -> tuple[Joint, Joint]
         replace(common, name=f"{joint.name}_{axes[0]}", child=cross, axis=first, child_placement=IDENTITY),
         replace(common, name=f"{joint.name}_{axes[1]}", parent=cross, axis=second, placement=IDENTITY),
     )
+
+
+def _motion(joint: Joint, numbers: tuple[float, ...]) -> pin.SE3:
+    """Return the motion of a joint, in its frame, from where it is placed."""
+    match joint.type:
+        case "floating":
+            return pin.XYZQUATToSE3(numbers)
+        case "spherical":
+            return pin.XYZQUATToSE3((0.0, 0.0, 0.0, *numbers))
+        case _:
+            return joint.motion(numbers[0] - joint.zero)
 
 
 def _floats(numbers: Any) -> tuple[float, ...]:

@@ -112,7 +112,7 @@ class CartesianCompliance:
     def _message(self, finding: str, directions: Matrix) -> str:
         robot = self.configuration.mechanism
         base = robot.description.floating_base
-        cause = "" if base is None else f"; the base '{base.child}' floats: hold it (--hold-base, hold_base=True)"
+        cause = f"; the base '{base[-1].child}' floats: hold it (--hold-base, hold_base=True)" if base else ""
         names = direction_names(directions)
         return f"frame '{self.frame}' {finding}: {names}{cause}; at q = {listed(self.configuration.q)}"
 

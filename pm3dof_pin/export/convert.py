@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 
+from pm3dof_pin.description.coordinates import LimitGroup
 from pm3dof_pin.description.description import Description, Drive, Joint
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX
 from pm3dof_pin.description.urdf_files import closure_entries
@@ -183,6 +184,12 @@ def _losses(document: RobotDocument, file: Path, zeros: Mapping[str, float]) -> 
         yield f"closures {types[0]} are read back as {types[1]}"
     if any(loop.swing_limit is not None for loop in robot.closures) and not any(c.swing_limit for c in again.closures):
         yield "swing limits of closures"
+    for group in robot.limit_groups:
+        same = next((other for other in again.limit_groups if other.name == group.name), LimitGroup(group.name))
+        members = [*sorted({*group.joints} - {*same.joints})]
+        members += [robot.closures[k].name for k in group.closures if not same.closures]
+        if members:
+            yield f"limits in the group {group.name}: {', '.join(members)}"
     for name in sorted({c.joint for c in robot.couplings} ^ {c.joint for c in again.couplings}):
         yield f"coupling of {name}"
     for what, key in (("drives", "actuated_joints"), ("tool motions", "tool_motions"), ("tool frame", "tool_frame")):

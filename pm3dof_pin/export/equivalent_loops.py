@@ -110,8 +110,9 @@ class _Builder:
         return a.actInv(b)
 
     def _free(self, name: str) -> str:
-        taken = {part.name for part in (*self.robot.description.bodies, *self.robot.description.joints)}
-        return free_name(name, {*taken, *(part.name for part in (*self.bodies, *self.joints))})
+        bodies = {body.name for body in (*self.robot.description.bodies, *self.bodies)}
+        joints = {joint.name for joint in (*self.robot.description.joints, *self.joints)}
+        return free_name(name, bodies | joints)
 
     def _add(self, joint: Joint, body: Body) -> None:
         self.joints.append(joint)

@@ -100,10 +100,14 @@ class _Writer:
     def _carrier(self, frame: str) -> str:
         """The body that a site is written in: the one that moves it.
 
-        Pinocchio silently misplaces sites in a fixed body within a fixed body, or in the root.
+        Pinocchio silently misplaces sites in a fixed body within a fixed body, or in the root. A body at a spring moves
+        what it carries.
         """
+        sprung = {spring["at"] for spring in self._robot.described.springs if "at" in spring}
         above = self._robot.description.joint_above.get(frame)
         while above is not None and above.is_fixed and above.parent != self._robot.description.root.name:
+            if not sprung.isdisjoint((frame, above.name)):
+                break
             frame = above.parent
             above = self._robot.description.joint_above.get(frame)
         return frame

@@ -66,11 +66,21 @@ def test_there_and_back_again(tmp_path: Path, dialect: str) -> None:
 def test_losses_are_listed_and_may_be_errors(tmp_path: Path) -> None:
     done = convert_robot("hexapod", tmp_path / "hexapod.xml")
     assert "swing limits of closures" in done.losses
+    assert any(loss.startswith("limits in the group strut_tip-B: strut1_tip-B1, strut2") for loss in done.losses)
     assert any(loss.startswith("velocity of strut1_joint") for loss in done.losses), "MJCF has no greatest speeds"
     with pytest.raises(DescriptionError, match="swing limits of closures"):
         convert_robot("hexapod", tmp_path / "strict" / "hexapod.xml", strict=True)
     assert not (tmp_path / "strict").exists()
     assert convert_robot("hexapod", tmp_path / "hexapod.urdf", strict=True).losses == ()
+
+
+def test_springs_at_massless_frames_keep_their_places_in_mjcf(tmp_path: Path) -> None:
+    """The tubes of a leg of three_rps are springs at its tip frames, which carry the ends of the closures."""
+    done = convert_robot("three_rps", tmp_path / "robot.xml")
+    robot, again = pm.load("three_rps"), pm.load(tmp_path / "robot.xml")
+    expected = pm.compliance(robot, robot.home)
+    np.testing.assert_allclose(pm.compliance(again, again.home), expected, atol=1e-9 * np.abs(expected).max())
+    assert not [loss for loss in done.losses if "stiffness" in loss or "spring" in loss]
 
 
 def test_a_suffix_says_the_dialect(tmp_path: Path) -> None:

@@ -211,6 +211,44 @@ WALKER = """<mujoco model="walker"><worldbody><body name="trunk"><freejoint name
 <keyframe><key name="home" qpos="1 2 3 0 0 0 1 0"/></keyframe></mujoco>"""
 
 
+SLIDES = "".join(f'<joint name="{x}" type="slide" axis="{a}" ref="{r}"/>' for x, a, r in
+                 (("x", "1 0 0", 0), ("y", "0 1 0", 0), ("z", "0 0 1", 0.5)))  # fmt: skip
+"""A free base as some files have it: three slides, and a ball or three hinges, of one body."""
+
+
+@pytest.mark.parametrize(
+    ("turns", "numbers"),
+    [
+        ('<joint name="turn" type="ball"/>', "0 0 0 1"),
+        (
+            '<joint name="a" axis="1 0 0"/><joint name="b" axis="0 1 0"/><joint name="c" axis="0 0 1"/>',
+            "0 0 3.14159265358979",
+        ),
+    ],
+)
+def test_a_base_on_slides_and_turns_floats_too(tmp_path: Path, turns: str, numbers: str) -> None:
+    text = WALKER.replace('<freejoint name="float"/>', SLIDES + turns).replace(
+        "1 2 3 0 0 0 1 0", f"1 2 3.5 {numbers} 0"
+    )
+    weld = '<equality><weld body1="trunk"/></equality><actuator>'  # without effect once the base is held
+    path = tmp_path / "walker.xml"
+    path.write_text(
+        text.replace("<mujoco", '<mujoco><compiler angle="radian"/>', 1)
+        .replace(
+            '<mujoco><compiler angle="radian"/> model="walker">', '<mujoco model="walker"><compiler angle="radian"/>'
+        )
+        .replace("<actuator>", weld),
+        encoding="utf-8",
+    )
+    held = pm.load(path, tool_frame="hand", drive_stiffness=100.0)
+    assert held.model.nv == 1
+    assert held.closures == ()
+    np.testing.assert_allclose(held.home.tool_placement.translation, [1.0 - 0.7, 2.0, 3.0], atol=1e-12)
+    driven = path.read_text(encoding="utf-8").replace("</actuator>", '<motor joint="x"/></actuator>')
+    path.write_text(driven.replace('<equality><weld body1="trunk"/></equality>', ""), encoding="utf-8")
+    assert pm.load(path, hold_base=True).model.nv > 1, "a base that is driven, as a gantry, is no floating one"
+
+
 def test_a_floating_base_is_held_for_a_stiffness(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A hinge of stiffness k bends the end of an arm of length L by L^2/k along y; home is turned by pi about z."""
     path = tmp_path / "walker.xml"
