@@ -17,13 +17,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
-
 from pm3dof_pin.calibration.acceptance import AcceptanceResult
-from pm3dof_pin.calibration.folder import checksum_of
+from pm3dof_pin.calibration.folder import checksum_of, read_summary
+from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.figures.html_page import html_page, html_table
-from pm3dof_pin.files import read_text
 
 DecisionRule = Literal["simple", "guarded"]
 
@@ -115,9 +113,9 @@ class Certificate:
         folder = Path(calibration)
         checksum = checksum_of(folder)
         try:
-            summary = yaml.safe_load(read_text(folder / "calibration.yaml"))
+            summary = read_summary(folder)
             found = _of_calibration(summary)
-        except (yaml.YAMLError, LookupError, TypeError, AttributeError) as error:
+        except (LookupError, TypeError, AttributeError) as error:
             raise DescriptionError(
                 folder / "calibration.yaml", "contents", f"expected a summary ({error!r})"
             ) from error
@@ -196,12 +194,7 @@ class Certificate:
 
 def _about(path: Path) -> dict[str, Any]:
     """Read and check the YAML file."""
-    try:
-        data = yaml.safe_load(read_text(path))
-    except (yaml.YAMLError, RecursionError) as error:
-        raise DescriptionError(path, "report", f"expected YAML ({' '.join(str(error).split())})") from error
-    if not isinstance(data, dict):
-        raise DescriptionError(path, "report", f"expected {', '.join(_REQUIRED)}")
+    data = read_mapping(path)
     if missing := [key for key in _REQUIRED if key not in data]:
         raise DescriptionError(path, "report", f"expected {', '.join(_REQUIRED)}; {', '.join(missing)} is missing")
     if unknown := [str(key) for key in data if key not in (*_REQUIRED, *_OPTIONAL)]:

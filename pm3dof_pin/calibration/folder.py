@@ -32,6 +32,7 @@ from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.calibration.session_effects import SessionEffects
+from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.exceptions import DescriptionError
@@ -128,6 +129,16 @@ def read_compensation(directory: Path | str) -> Compensation:
         return _compensation(data, Path(directory))
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise DescriptionError(path, "contents", f"expected those of format {_FORMAT} ({error!r})") from error
+
+
+def read_summary(directory: Path | str) -> dict[str, Any]:
+    """Return the summary of a calibration's folder, whose checksums are compared first.
+
+    Raises:
+        DescriptionError: it is not a calibration, or any of its files but the history was changed.
+    """
+    checksum_of(directory)
+    return read_mapping(Path(directory) / _SUMMARY)
 
 
 def summary_of(

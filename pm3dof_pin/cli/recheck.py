@@ -19,6 +19,10 @@ def recheck(
     own_frame: Annotated[
         bool, typer.Option("--own-frame", help="Positions are in the instrument's own frame; locate the base first.")
     ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Calibrate again from all rows, old and new, into this folder."),
+    ] = None,
     record: Annotated[
         bool, typer.Option("--record/--no-record", help="Add the result to the history in the calibration's folder.")
     ] = True,
@@ -30,15 +34,17 @@ def recheck(
     """
     import hashlib
 
-    from pm3dof_pin.calibration.folder import read_compensation
+    from pm3dof_pin.calibration.folder import HISTORY, read_compensation
     from pm3dof_pin.calibration.recheck import add_to_history, read_history
     from pm3dof_pin.calibration.recheck import recheck as compute
-    from pm3dof_pin.files import read_bytes
+    from pm3dof_pin.calibration.updating import updated
+    from pm3dof_pin.files import read_bytes, read_text, write_text_atomically
     from pm3dof_pin.measuring.measurement_file import read_measurements
 
     known = read_compensation(calibration)
     robot = known.errors.robot
-    found = compute(known, read_measurements(file, robot, own_frame=own_frame, columns=columns))
+    measurements = read_measurements(file, robot, own_frame=own_frame, columns=columns)
+    found = compute(known, measurements)
     result = {"robot": robot.name} | found.as_data()
     earlier = read_history(calibration)
     units = [command.unit for command in robot.commands]
@@ -62,3 +68,9 @@ def recheck(
         entry = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "measurements": file.name}
         entry |= {"measurements_sha256": hashlib.sha256(read_bytes(file)).hexdigest()}
         message(f"wrote {add_to_history(calibration, entry | found.as_data())}")
+    if out is not None:
+        again, _ = updated(calibration, measurements, found)
+        folder = again.save(out)
+        if (calibration / HISTORY).is_file() and out.resolve() != calibration.resolve():
+            write_text_atomically(folder / HISTORY, read_text(calibration / HISTORY))
+        message(f"wrote {folder}, from {len(again.measurements)} rows")

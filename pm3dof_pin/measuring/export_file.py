@@ -17,11 +17,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal, get_args
 
-import yaml
-
 from pm3dof_pin.csv_table import CsvTable, is_condition
+from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError
-from pm3dof_pin.files import csv_text, read_bytes, read_text, without_apostrophe
+from pm3dof_pin.files import csv_text, read_bytes, without_apostrophe
 from pm3dof_pin.measuring.angles import AngleOrder
 
 IGNORE = "ignore"
@@ -106,15 +105,12 @@ class ColumnMap:
         path = Path(which)
         if not path.is_file():
             raise DescriptionError(path, "columns", f"expected a file, or one of {', '.join(PROFILES)}")
-        try:
-            data = yaml.safe_load(read_text(path))
-        except (yaml.YAMLError, RecursionError) as error:
-            raise DescriptionError(path, "columns", f"expected YAML ({' '.join(str(error).split())})") from error
+        data = read_mapping(path)
         kinds = {"columns": dict, "header": list, "skip": int, "profile": str}
         names = [entry.name for entry in fields(cls)]
-        if not isinstance(data, dict) or (wrong := [key for key in data if key not in (*names, "profile")]):
-            what = f", not {', '.join(map(str, wrong))}" if isinstance(data, dict) else ""
-            raise DescriptionError(path, "columns", f"expected some of {', '.join([*names, 'profile'])}{what}")
+        if wrong := [str(key) for key in data if key not in (*names, "profile")]:
+            expected = f"expected some of {', '.join([*names, 'profile'])}, not {', '.join(wrong)}"
+            raise DescriptionError(path, "columns", " ".join(expected.split()))
         for key, value in data.items():
             entries = (
                 [*value, *(value.values() if isinstance(value, dict) else ())] if key in ("columns", "header") else []

@@ -59,10 +59,12 @@ class KlipperFile:
                 lines.append(line)
             table = saved if is_saved else above
             if found := _SECTION.match(words):
-                section[is_saved], last = found[1].strip().lower(), ""
+                section[is_saved] = found[1].strip().lower()
+                last = "" if is_saved else last
             elif (option := _OPTION.match(words)) and section[is_saved] and not words.startswith((" ", "\t")):
-                last = option[1].strip().lower()
-                table.setdefault(section[is_saved], {})[last] = option[2].strip()
+                name = option[1].strip().lower()
+                table.setdefault(section[is_saved], {})[name] = option[2].strip()
+                last = name if is_saved else last
         names = {*above, *saved}
         return cls(path, tuple(lines), saved, {n: {**above.get(n, {}), **saved.get(n, {})} for n in names})
 
@@ -210,8 +212,12 @@ class KlipperFile:
                 raise MeasurementError(
                     self.path, f"[{section}] gear_ratio: expected pairs such as 60:16, not '{pair}'"
                 ) from error
-        full = self._number(section, "full_steps_per_rotation", _FULL_STEPS)
-        return turn / (full * self._number(section, "microsteps", self._fallback("microsteps")) * ratio)
+        steps = self._number(section, "full_steps_per_rotation", _FULL_STEPS)
+        steps *= self._number(section, "microsteps", self._fallback("microsteps")) * ratio
+        if not (steps > 0.0 and turn > 0.0):
+            problem = f"[{section}] has {steps:g} steps for {turn:g} m or rad: expected positive numbers"
+            raise MeasurementError(self.path, problem)
+        return turn / steps
 
     def _fallback(self, option: str) -> float | None:
         return self._number("stepper_a", option) if option in self.options.get("stepper_a", {}) else None
