@@ -3,7 +3,8 @@
 A polytope is {x : N x <= b} with unit normals N, shape=(..., m, d), and offsets b, shape=(..., m). With as many drives
 as degrees of freedom the set of forces is a parallelepiped; with more it is a zonotope, the image of a box under a
 linear map (T. Yoshikawa, Foundations of Robotics, 1990; R. Finotello et al., ICRA 1998). All lengths below are measured
-from the origin, the state without load, which gravity may push out of the set: then they are negative or NaN.
+from the origin, the state without load, which gravity may push out of the set: then they are negative or NaN. Those of
+unsolved poses are NaN.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ class Polytopes:
                 np.where(lengths > 0.0, end / lengths, np.where(end >= 0.0, np.inf, -np.inf))
                 for end in (-ends[0], ends[1])
             ]
+            offsets = [np.where(np.isnan(lengths), np.nan, end) for end in offsets]
         return cls(frozen(np.concatenate([-units, units], axis=-2)), frozen(np.concatenate(offsets, axis=-1)))
 
     @classmethod
@@ -85,13 +87,15 @@ class Polytopes:
             raise InvalidValueError("generators", f"{count} drives", f"at least {dimensions}, one per dimension")
         if not (np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
             raise InvalidValueError("limits of the drives", (lower, upper), "finite ends, the lower one first")
-        normals = np.stack(
-            [_normal(matrix[..., list(chosen)]) for chosen in combinations(range(count), dimensions - 1)], axis=-2
-        )
+        if count == dimensions:
+            normals = _square_normals(matrix)
+        else:
+            chosen = combinations(range(count), dimensions - 1)
+            normals = np.stack([_normal(matrix[..., list(columns)]) for columns in chosen], axis=-2)
         along = normals @ matrix  # shape=(..., m, u)
         middle = np.einsum("...md,...d->...m", normals, np.asarray(centre) + _times(matrix, 0.5 * (low + high)))
         half = np.einsum("...mu,...u->...m", np.abs(along), 0.5 * (high - low))
-        missing = ~np.any(normals, axis=-1)  # of dependent generators
+        missing = ~np.any(normals, axis=-1) & np.isfinite(matrix).all(axis=(-2, -1))[..., None]  # dependent generators
         offsets = [np.where(missing, np.inf, half + sign * middle) for sign in (1.0, -1.0)]
         return cls(frozen(np.concatenate([normals, -normals], axis=-2)), frozen(np.concatenate(offsets, axis=-1)))
 
@@ -147,6 +151,7 @@ class Polytopes:
             normals = np.where(matters[..., None], rows / lengths[..., None], 0.0)
             free = np.where(self.offsets >= 0.0, np.inf, -np.inf)
             offsets = np.where(matters, self.offsets / lengths, free)
+            offsets = np.where(np.isnan(lengths) | np.isnan(self.offsets), np.nan, offsets)
         return Polytopes(frozen(normals), frozen(offsets))
 
     def share_left(self, point: ArrayLike) -> Array:
@@ -169,14 +174,14 @@ class Polytopes:
         return np.asarray((self.offsets - along).min(axis=-1))
 
     def vertices(self, index: int | tuple[int, ...] = ()) -> Matrix:
-        """Return the vertices of one polytope of the batch, shape=(n, d); none if it is empty.
+        """Return the vertices of one polytope of the batch, shape=(n, d); none if it is empty, or of an unsolved pose.
 
         Raises:
             InvalidValueError: the polytope is unbounded.
         """
         normals, offsets = self.normals[index], self.offsets[index]
         bounds = np.isfinite(offsets) & normals.any(axis=-1)
-        if np.isneginf(offsets).any():
+        if np.isneginf(offsets).any() or np.isnan(offsets).any():
             return np.zeros((0, normals.shape[-1]))
         return _vertices(normals[bounds], offsets[bounds])
 
@@ -208,6 +213,22 @@ def _vertices(normals: Matrix, offsets: Array) -> Matrix:
         raise InvalidValueError("polytope", "unbounded", "finite limits of all drives that matter")
     _, first = np.unique(np.round(corners / _SAME), axis=0, return_index=True)
     return np.asarray(size * corners[np.sort(first)])
+
+
+def _square_normals(matrix: Array) -> Array:
+    """Return unit vectors normal to all columns but one: rows of the inverse, or see :func:`_normal`."""
+    flat = matrix.reshape(-1, *matrix.shape[-2:])
+    lengths = np.linalg.norm(flat, axis=-2, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        units = flat / lengths
+    normals = np.zeros_like(flat)
+    regular = np.isfinite(units).all(axis=(-2, -1))
+    regular[regular] = np.abs(np.linalg.det(units[regular])) > _PARALLEL
+    rows = np.linalg.inv(units[regular])
+    normals[regular] = rows / np.linalg.norm(rows, axis=-1, keepdims=True)
+    chosen = list(combinations(range(flat.shape[-1]), flat.shape[-1] - 1))[::-1]
+    normals[~regular] = np.stack([_normal(flat[~regular][..., list(columns)]) for columns in chosen], axis=-2)
+    return normals.reshape(matrix.shape)
 
 
 def _normal(columns: Array) -> Array:

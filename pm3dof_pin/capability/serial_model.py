@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, require_choice
 from pm3dof_pin.capability.transmission import Transmission
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.typing import Array, Mask, Vector
 
 Choice: TypeAlias = Literal["least-wrong", "worst"]
@@ -74,7 +74,8 @@ class SerialModel:
     inertia: Spread  #: of all moving bodies and rotors [kg m^2, kg]
     #: greatest magnitude over the box of an off-diagonal entry of G^T I_m G, relative to the diagonal's geometric mean
     coupling: float
-    torque: Spread | None  #: greatest pure torque beyond the weight [N m, N]; None if efforts are unknown
+    #: greatest pure torque beyond the weight [N m, N], 0 where the drives cannot hold it; None if efforts are unknown
+    torque: Spread | None
     effort: Spread | None  #: the same, what holds the weight included: the effort limit of a serial model
     unit_torque: Spread  #: the same in multiples of the drives' effort, without gravity
     speed: Spread | None  #: greatest speed [rad/s, m/s]; None if unknown
@@ -94,16 +95,12 @@ def serial_model(
 
     Raises:
         UnreachablePoseError: no pose of the grid is within limits.
-        InvalidValueError: the poses are not a grid over the joints.
+        InvalidValueError: the poses are not a grid over the joints, in their order.
     """
-    count = len(transmission.joints)
-    shape = transmission.poses.shape
-    if len(shape) != count:
-        raise InvalidValueError("transmission", f"poses of shape {shape}", f"a grid with {count} dimensions")
+    count, axes = len(transmission.joints), transmission.axes
     within = transmission.poses.within_limits & np.isfinite(transmission.jacobian).all(axis=(-2, -1))
     if not within.any():
         raise UnreachablePoseError(f"{transmission.poses.robot.name}: no pose of the box is within limits")
-    values = transmission.poses.coordinates.reshape(-1, count)
     rotor = _at(transmission.rotor_inertia, within)
     diagonal = np.einsum("...ii->...i", rotor)
     with np.errstate(invalid="ignore"):  # rotors without inertia
@@ -114,14 +111,14 @@ def serial_model(
     return SerialModel(
         joints=transmission.joints,
         units=tuple(c.unit for c in transmission.poses.robot.coordinates),
-        lower=frozen(np.nanmin(values, axis=0)),
-        upper=frozen(np.nanmax(values, axis=0)),
+        lower=frozen(np.array([axis.min() for axis in axes])),
+        upper=frozen(np.array([axis.max() for axis in axes])),
         unreached=float(1.0 - within.mean()),
         reached_scale=_reached_scale(within),
         armature=Spread.over(diagonal, "greatest"),
         inertia=Spread.over(np.einsum("...ii->...i", _at(transmission.inertia, within)), "greatest"),
         coupling=float(np.nan_to_num(off).max(initial=0.0)),
-        torque=Spread.over(_at(transmission.pure_torques, within), "least") if known["effort"] else None,
+        torque=Spread.over(np.nan_to_num(_at(transmission.pure_torques, within)), "least") if known["effort"] else None,
         effort=Spread.over(_at(transmission.pure_total_torques, within), "least") if known["effort"] else None,
         unit_torque=Spread.over(_at(transmission.unit_pure_torques, within), "least"),
         speed=Spread.over(_at(transmission.pure_speeds, within), "least") if known["speed"] else None,

@@ -49,11 +49,7 @@ def _dataset(transmission: Transmission) -> xr.Dataset:
 
     shape = transmission.poses.shape
     joints = transmission.joints
-    values = transmission.poses.coordinates
-    axes = {}
-    for k, joint in enumerate(joints):
-        others = tuple(axis for axis in range(len(shape)) if axis != k)
-        axes[joint] = np.nanmean(values[..., k], axis=others)
+    axes = dict(zip(joints, transmission.axes, strict=True))
     arrays = {
         name.replace(" ", "_"): (joints, column.reshape(shape))
         for name, column in _columns(transmission).items()

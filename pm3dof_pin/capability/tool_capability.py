@@ -137,14 +137,13 @@ def tool_capability(
         drives = jacobian(robot, poses, of=robot.actuated_joints, by=names, **options).values
     else:
         drives = np.where(np.isfinite(tool[..., :1, :1]), np.eye(len(names)), np.nan)
-    model, indices = robot.model, robot.actuated_indices
     return ToolCapability(
         drives=robot.actuated_joints,
         tool_rates=tool,
         drive_rates=frozen(drives),
         weight=motion_dynamics(robot, poses, by=names, payloads=payloads, **options).weight,
-        effort=drive_values(robot, "effort", effort, np.array(model.upperEffortLimit)[indices]),
-        speed=drive_values(robot, "speed", speed, np.array(model.upperVelocityLimit)[indices]),
+        effort=drive_values(robot, "effort", effort),
+        speed=drive_values(robot, "speed", speed),
     )
 
 

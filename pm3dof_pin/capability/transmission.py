@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias, Unpack
+from typing import Literal, TypeAlias, Unpack
 
 import numpy as np
 import pinocchio as pin
@@ -31,6 +31,7 @@ Limit: TypeAlias = float | Mapping[str, float] | ArrayLike | None
 """Limits of the drives, to either side: one for all, one each in their order, or by name; None for the described."""
 
 _UNLIMITED = 1e300
+_SAME_VALUE = 1e-6  # differences of a joint's values that are rounding [rad, m]
 
 
 def joint_driven(robot: Robot, joints: Sequence[str] = (), drives: Sequence[str] = ()) -> Robot:
@@ -41,9 +42,11 @@ def joint_driven(robot: Robot, joints: Sequence[str] = (), drives: Sequence[str]
         InvalidValueError: a joint has several degrees of freedom, or one is named twice.
     """
     require_kind("robot", robot, Robot, "pm.load")
-    for names in (joints, drives):
+    for words, names in (("joints", joints), ("drives", drives)):
         if len(set(names)) < len(names):
-            raise InvalidValueError("joints", ", ".join(names), "each joint once")
+            raise InvalidValueError(words, ", ".join(names), "each joint once")
+        for name in names:
+            robot.single_joint(name)
     coordinates = [Coordinate(name, robot.single_joint(name).unit, joint=name) for name in joints]
     if joints:
         robot = robot.replace(coordinates=tuple(coordinates))
@@ -118,6 +121,36 @@ class Transmission:
     speed: Vector  #: greatest speed of each drive, to either side, shape=(u,) [rad/s, m/s]; infinite if unknown
 
     @cached_property
+    def axes(self) -> tuple[Vector, ...]:
+        """Values of each joint along its dimension of a grid of poses, shape=(n,) each [rad, m].
+
+        Where all poses of a value are out of reach, it continues the others evenly.
+
+        Raises:
+            InvalidValueError: the poses are not a grid with one dimension for each joint, in their order.
+        """
+        values, count = self.poses.coordinates, len(self.joints)
+        if self.poses.coordinates.ndim != count + 1:
+            raise InvalidValueError(
+                "transmission", f"poses of shape {self.poses.shape}", f"a grid with {count} dimensions"
+            )
+        axes = []
+        for k, joint in enumerate(self.joints):
+            lines = np.moveaxis(values[..., k], k, 0).reshape(self.poses.shape[k], -1)
+            known = np.flatnonzero(np.isfinite(lines).any(axis=1))
+            middle, spread = np.nanmean(lines[known], axis=1), np.nanmax(lines[known], axis=1, initial=-np.inf)
+            if (spread - middle > _SAME_VALUE).any():
+                raise InvalidValueError(
+                    "transmission", f"a grid along which {joint} varies twice", ", ".join(self.joints)
+                )
+            axis = np.full(len(lines), np.nan if not known.size else middle[0])
+            if known.size > 1:
+                axis = np.polyval(np.polyfit(known, middle, 1), np.arange(len(lines)))
+            axis[known] = middle
+            axes.append(frozen(axis))
+        return tuple(axes)
+
+    @cached_property
     def torques(self) -> Polytopes:
         """Torques that the drives can give at the joints beyond those that hold the weight [N m, N].
 
@@ -160,6 +193,15 @@ class Transmission:
         This is the effort limit of a serial model, whose bodies have weight as well.
         """
         return _pure(self.total_torques, len(self.joints))
+
+    @cached_property
+    def torque_box(self) -> Array:
+        """Half edges of the greatest box of torques about the origin, in proportion to :attr:`pure_torques`.
+
+        All joints can have these at once, in any combination, beyond what holds the weight, shape=(..., m) [N m, N].
+        """
+        share = self.torques.box_share(self.pure_torques)
+        return frozen(share[..., None] * self.pure_torques)
 
     @cached_property
     def unit_pure_torques(self) -> Array:
@@ -252,19 +294,19 @@ def transmission(
     """
     require_kind("robot", robot, Robot, "pm.load")
     names, drives = tuple(c.name for c in robot.coordinates), robot.actuated_joints
-    if len(drives) < len(names):
-        raise SingularConfigurationError(
-            f"{robot.name}: {len(drives)} drives ({', '.join(drives)}) do not determine {', '.join(names)}"
+    if len(drives) < len(names) or not drives:
+        found = (
+            f"the drives ({', '.join(drives)}) cannot determine {', '.join(names)}" if drives else "there are no drives"
         )
+        raise SingularConfigurationError(f"{robot.name}: {found}: name the driven joints, as with --drives A,B")
     poses = values if isinstance(values, Poses) else robot.solve(values, on_failure=options.get("on_failure", "raise"))
     found = jacobian(robot, poses, of=drives, by=names, with_derivatives=True, **options)
     assert found.derivatives is not None
     masses = motion_dynamics(robot, poses, by=names, payloads=payloads, **options)
-    indices = robot.actuated_indices
-    model = robot.model
-    rotors = drive_values(robot, "armature", armature, np.array(model.armature)[indices])
-    reflected = np.einsum("...um,u,...un->...mn", found.values, rotors, found.values)
-    described = np.einsum("...um,u,...un->...mn", found.values, np.array(model.armature)[indices], found.values)
+    reflected, described = (
+        np.einsum("...um,u,...un->...mn", found.values, drive_values(robot, "armature", given), found.values)
+        for given in (armature, None)
+    )
     return Transmission(
         joints=names,
         drives=drives,
@@ -274,21 +316,27 @@ def transmission(
         rotor_inertia=frozen(reflected),
         inertia=frozen(masses.inertia - described + reflected),
         weight=masses.weight,
-        effort=drive_values(robot, "effort", effort, np.array(model.upperEffortLimit)[indices]),
-        speed=drive_values(robot, "speed", speed, np.array(model.upperVelocityLimit)[indices]),
+        effort=drive_values(robot, "effort", effort),
+        speed=drive_values(robot, "speed", speed),
     )
 
 
-def drive_values(robot: Robot, name: str, given: Limit, described: ArrayLike) -> Vector:
+def drive_values(robot: Robot, name: Literal["effort", "speed", "armature"], given: Limit = None) -> Vector:
     """Return one nonnegative number for each drive: those given, or else those described, shape=(u,).
+
+    Efforts and speeds that are not described are infinite. A described effort is the least of the joint's and of what
+    its actuators give: their force ranges, and the control ranges of motors, times the gears.
 
     Raises:
         InvalidValueError: a number is negative or not finite, or a name is that of no drive.
     """
-    drives = robot.actuated_joints
-    values = np.array(described, dtype=float)
+    drives, model = robot.actuated_joints, robot.model
+    described = {"effort": model.upperEffortLimit, "speed": model.upperVelocityLimit, "armature": model.armature}[name]
+    values = np.array(described)[robot.actuated_indices]
     if name != "armature":
         values[values == 0.0] = np.inf  # in descriptions, 0 stands for unknown
+    if name == "effort":
+        values = np.minimum(values, _actuator_efforts(robot))
     if isinstance(given, Mapping):
         for drive, value in given.items():
             if drive not in drives:
@@ -300,6 +348,22 @@ def drive_values(robot: Robot, name: str, given: Limit, described: ArrayLike) ->
     if not (values >= 0.0).all():
         raise InvalidValueError(name, values.tolist(), "no negative numbers")
     return frozen(np.where(values < _UNLIMITED, values, np.inf))
+
+
+def _actuator_efforts(robot: Robot) -> Vector:
+    """Return what the described actuators give at each driven joint, shape=(u,) [N m, N]; infinite if unknown."""
+    found = np.full(len(robot.actuated_joints), np.inf)
+    for k, joint in enumerate(robot.actuated_joints):
+        efforts = []
+        for drive in robot.description.drives:
+            if drive.joint == joint:
+                ranges = [drive.force_range, drive.control_range if drive.kind == "motor" else None]
+                # of a range to one side only, this says nothing about the other
+                ends = [min(-ends[0], ends[1]) for ends in ranges if ends is not None and ends[0] < 0.0 < ends[1]]
+                efforts.append(abs(drive.gear) * min(ends, default=np.inf))
+        if efforts and sum(efforts) > 0.0:
+            found[k] = sum(efforts)
+    return found
 
 
 def described_gains(robot: Robot) -> dict[str, Vector | None]:

@@ -14,11 +14,11 @@ from pm3dof_pin.cli.options import (
     MachineOptions,
     Payload,
     PoseOptions,
-    numbers_by_name,
     payloads_of,
 )
 from pm3dof_pin.cli.output import table_lines
 from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
+from pm3dof_pin.cli.transmission_options import limits_of_drives
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Poses
@@ -49,11 +49,7 @@ def capability(
     status 1.
     """
     robot = which.load()
-    limits: Any = {
-        "effort": numbers_by_name("--effort", effort),
-        "speed": numbers_by_name("--speed", speed),
-        "payloads": payloads_of(robot, payload),
-    }
+    limits: Any = limits_of_drives(robot, effort=effort, speed=speed) | {"payloads": payloads_of(robot, payload)}
     wrenches = [list(entry) for entry in wrench or ()]
 
     def columns(poses: Poses) -> dict[str, Array]:

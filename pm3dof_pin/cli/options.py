@@ -348,6 +348,9 @@ def numbers_by_name(option: str, texts: list[str] | str | None) -> float | dict[
         return finite_number(entries[0])
     if wrong := [entry for entry in entries if not all(entry.partition("="))]:
         raise typer.BadParameter(f"{option} {wrong[0]}: expected one number, or JOINT=NUMBER for each drive")
+    names = [entry.partition("=")[0] for entry in entries]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise typer.BadParameter(f"{option} names {twice[0]} twice")
     return {name: finite_number(value) for name, _, value in (entry.partition("=") for entry in entries)} or None
 
 

@@ -41,17 +41,22 @@ def transmission(
     """
     robot = options.part(which.load())
     gains = options.gains_of(robot)
-    at = options.at(place(robot, chosen))
     box = options.box(robot)
+    at = options.at(place(robot, chosen))
     model = serial_model(box, **gains)
     result = {"robot": robot.name} | _transmission_result(at, **gains) | {"box": _serial_model_result(model)}
     files = []
     if out is not None:
         files = [*write_tables(box, out), *_write_report(model, box, out, formats)]
     print_result(result, [*_lines(at), "", *_box_lines(model)], as_json=as_json, files=files)
+    if set(at.joints) == {command.name for command in at.poses.robot.commands}:
+        message("pm3dof: these coordinates are the drives' own: name the joints of the serial model with --joints A,B")
     unknown = [name for name, spread in (("--effort", model.torque), ("--speed", model.speed)) if spread is None]
     if unknown:
-        message(f"pm3dof: {' and '.join(unknown)}: not described; results that need them are left out")
+        message(
+            f"pm3dof: {' and '.join(unknown)}: not described; results that need them are left out, and torques are "
+            "given by a drive's effort of 1"
+        )
 
 
 def _write_report(model: SerialModel, box: Transmission, out: Path, formats: list[PictureFormat] | None) -> list[Path]:
@@ -87,13 +92,16 @@ def _transmission_result(
             "effort_N_m": at.effort,
             "greatest_pure_torque_N_m": dict(zip(at.joints, at.pure_torques, strict=True)),
             "greatest_torque_ball_N_m": at.torques.ball_radius,
+            "greatest_torque_box_N_m": dict(zip(at.joints, at.torque_box, strict=True)),
             "torque_polytope_N_m": at.torques.vertices(),
+            "torque_facets": {"normals": at.torques.normals, "offsets_N_m": at.torques.offsets},
         }
     if np.isfinite(at.speed).all():
         result |= {
             "speed_rad_s": at.speed,
             "greatest_pure_speed_rad_s": dict(zip(at.joints, at.pure_speeds, strict=True)),
             "speed_polytope_rad_s": at.speeds.vertices(),
+            "speed_facets": {"normals": at.speeds.normals, "offsets_rad_s": at.speeds.offsets},
         }
     if kp is not None:
         result["joint_stiffness_N_m_rad"] = at.joint_gains(kp)
@@ -149,6 +157,18 @@ def _lines(at: Transmission) -> list[str]:
             entries = zip(at.joints, _cleaned(matrix), strict=True)
             rows = [[joint, *(f"{entry:.6g}" for entry in row)] for joint, row in entries]
             lines += ["", *table_lines([f"{words} [kg, m, rad]", *at.joints], rows)]
+    limits = {"holds the weight": at.weight, "greatest torque by a drive's effort": at.unit_pure_torques}
+    if np.isfinite(at.effort).all():
+        limits |= {"greatest torque beyond the weight": at.pure_torques, "all joints at once": at.torque_box}
+    if np.isfinite(at.speed).all():
+        limits["greatest speed"] = at.pure_speeds
+    rows = [
+        [words, *(f"{entry:.6g}" if np.isfinite(entry) else "-" for entry in np.round(values, 9) + 0.0)]
+        for words, values in limits.items()
+    ]
+    lines += ["", *table_lines(["limits [N, m, rad, s]", *at.joints], rows)]
+    if len(at.joints) > 1:
+        lines += ["", f"distance to singularity {at.distance_to_singularity:.3g}: least by greatest gain of the rates"]
     return lines
 
 
@@ -169,6 +189,8 @@ def _box_lines(model: SerialModel) -> list[str]:
             f"{100.0 * model.unreached:.1f} % of these poses are out of reach or beyond limits; none is in the box of "
             f"{model.reached_scale:.2f} times the size about the same centre"
         )
+    if len(model.joints) > 1:
+        lines.append(f"distance to singularity {model.distance_to_singularity:.3g} or more")
     rows = []
     for words, units, spread in _quantities(model).values():
         columns = (spread.least, spread.greatest, spread.least_wrong, spread.error)

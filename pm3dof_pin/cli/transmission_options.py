@@ -1,7 +1,8 @@
-"""Options of commands about joints driven through loops: which joints and drives, their limits, and the box."""
+"""Options of commands about joints driven through loops: which joints, the drives' limits, and the box."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,26 +11,26 @@ import typer
 
 from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_grid
 from pm3dof_pin.cli.options import Payload, finite_number, numbers_by_name, payloads_of
+from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNotFoundError
 
 if TYPE_CHECKING:
     from pm3dof_pin.capability.transmission import Transmission
     from pm3dof_pin.kinematics.robot import Poses, Robot
     from pm3dof_pin.typing import Vector
 
-_POINTS = 21
+_POINTS = 21  # of each joint, unless that makes too many poses
+_MAX_POSES = 30_000  # of a box by default
+_MAX_NUMBERS = 100_000_000  # of all poses of a box: under a gigabyte
 _LIMITS = "N|JOINT=N,.."
 
 
 @dataclass(frozen=True, kw_only=True)
 class TransmissionOptions:
-    """Joints, drives, limits and the box of a transmission."""
+    """Joints, limits of the drives, and the box of a transmission."""
 
     joints: Annotated[
         str | None, typer.Option(metavar="A,B", help="Joints of the serial model; the robot's coordinates by default.")
     ] = None
-    drives: Annotated[str | None, typer.Option(metavar="A,B", help="Driven joints; the description's by default.")] = (
-        None
-    )
     subtree: Annotated[
         str | None, typer.Option(metavar="LINK", help="Only what this link carries; all other joints are held at home.")
     ] = None
@@ -63,37 +64,65 @@ class TransmissionOptions:
         """Return the part of a robot that is asked about, with the joints as its coordinates."""
         from pm3dof_pin.capability.transmission import held_outside, joint_driven
 
-        if self.subtree is not None:
-            robot = held_outside(robot, self.subtree)
-        return joint_driven(robot, _names(self.joints), _names(self.drives))
+        try:
+            if self.subtree is not None:
+                robot = held_outside(robot, self.subtree)
+            return joint_driven(robot, _names(self.joints))
+        except (JointNotFoundError, FrameNotFoundError, InvalidValueError) as error:
+            raise typer.BadParameter(str(error)) from error
 
     def at(self, poses: Poses) -> Transmission:
         """Compute the transmission at poses within the given limits; those that are out of reach are NaN."""
         from pm3dof_pin.capability.transmission import transmission
 
-        limits: Any = {
-            "effort": numbers_by_name("--effort", self.effort),
-            "speed": numbers_by_name("--speed", self.speed),
-            "armature": numbers_by_name("--armature", self.armature),
-            "payloads": payloads_of(poses.robot, self.payload),
-        }
+        limits: Any = limits_of_drives(poses.robot, effort=self.effort, speed=self.speed, armature=self.armature)
+        limits["payloads"] = payloads_of(poses.robot, self.payload)
         return transmission(poses.robot, poses, on_failure="nan" if poses.shape else "raise", **limits)
 
     def box(self, robot: Robot) -> Transmission:
-        """Compute the transmission over the box."""
-        ranges = self.over or declared_ranges(robot, robot.coordinates, [_POINTS] * len(robot.coordinates))
+        """Compute the transmission over the box: the given ranges, and those declared of all other joints."""
+        given = {entry.name: entry.count for entry in self.over or ()}
+        others = [coordinate for coordinate in robot.coordinates if coordinate.name not in given]
+        most = _MAX_POSES / max(1, math.prod(given.values()))
+        points = min(_POINTS, max(2, math.floor(most ** (1.0 / len(others)) + 1e-9))) if others else 0
+        count = math.prod(given.values()) * points ** len(others)
+        if count * (robot.model.nq + len(robot.actuated_joints) * len(robot.coordinates) ** 2) > _MAX_NUMBERS:
+            raise typer.BadParameter(
+                f"a box of {count:,} poses of {len(robot.coordinates)} joints is too large: name fewer with --joints, "
+                "or give --over smaller counts"
+            )
+        ranges = [*(self.over or ()), *declared_ranges(robot, others, [points] * len(others))]
+        order = [coordinate.name for coordinate in robot.coordinates]
+        ranges.sort(key=lambda entry: order.index(entry.name) if entry.name in order else -1)
         return self.at(robot.solve(robot_grid(robot, ranges), on_failure="nan"))
 
     def gains_of(self, robot: Robot) -> dict[str, Vector | float | None]:
         """Return the gains of the drives as "kp" and "kd": those given, or those that all drives are described with."""
         numbers: Sequence[float] = [finite_number(entry) for entry in _names(self.gains)]
-        if len(numbers) not in (0, 2):
-            raise typer.BadParameter(f"--gains {self.gains}: expected KP,KD")
+        if len(numbers) not in (0, 2) or min(numbers, default=0.0) < 0.0:
+            raise typer.BadParameter(f"--gains {self.gains}: expected KP,KD, not negative")
         if not numbers:
             from pm3dof_pin.capability.transmission import described_gains
 
             return dict(described_gains(robot))
         return dict(zip(("kp", "kd"), numbers, strict=True))
+
+
+def limits_of_drives(robot: Robot, **texts: str | None) -> dict[str, float | dict[str, float] | None]:
+    """Read limits of the drives by the names of their options; wrong usage ends the command with status 2."""
+    given = {name: numbers_by_name(f"--{name}", text) for name, text in texts.items()}
+    for name, limits in given.items():
+        numbers = limits if isinstance(limits, dict) else {} if limits is None else {"": limits}
+        for drive, value in numbers.items():
+            if drive and drive not in robot.actuated_joints:
+                known = ", ".join(robot.actuated_joints)
+                raise typer.BadParameter(f"--{name}: {robot.name} has no drive '{drive}': expected one of {known}")
+            if value < 0.0 or (value == 0.0 and name != "armature"):
+                expected = "nonnegative" if name == "armature" else "positive"
+                raise typer.BadParameter(
+                    f"--{name} {drive + '=' if drive else ''}{value:g}: expected a {expected} number"
+                )
+    return given
 
 
 def _names(text: str | None) -> list[str]:

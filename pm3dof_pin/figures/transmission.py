@@ -53,12 +53,10 @@ def _section(box: Transmission, values: Array) -> Array:
 
 def _axes(box: Transmission) -> list[tuple[Array, str]]:
     """Return values and label of the first joints."""
-    found = []
-    for k, coordinate in enumerate(box.poses.robot.coordinates[:2]):
-        others = tuple(axis for axis in range(len(box.poses.shape)) if axis != k)
-        values = np.nanmean(box.poses.coordinates[..., k], axis=others)
-        found.append((drawn(values, coordinate.unit), axis_label(coordinate.name, coordinate.unit)))
-    return found
+    return [
+        (drawn(values, coordinate.unit), axis_label(coordinate.name, coordinate.unit))
+        for values, coordinate in zip(box.axes[:2], box.poses.robot.coordinates[:2], strict=True)
+    ]
 
 
 def _title(figure: Figure, box: Transmission, words: str, height: float) -> None:
@@ -71,12 +69,12 @@ def _polytopes(box: Transmission, polytopes: Polytopes, words: str, unit: str) -
     within = box.poses.within_limits & np.isfinite(box.jacobian).all(axis=(-2, -1))
     picks = [np.unique(np.linspace(0, len(v) - 1, min(len(v), _GRID)).round().astype(int)) for v in (first, second)]
     chosen = [(int(i), int(j)) for i in picks[0] for j in picks[1] if within[i, j]]
-    shapes = {at: polytopes.vertices(at) for at in chosen}
+    shapes = {at: points for at in chosen if len(points := polytopes.vertices(at)) > 2}  # else gravity leaves no room
     spans = [np.ptp(first) or 1.0, np.ptp(second) or 1.0]
     steps = [span / max(len(pick) - 1, 1) for span, pick in zip(spans, picks, strict=True)]
     largest = max((float(np.abs(points).max(initial=0.0)) for points in shapes.values()), default=1.0) or 1.0
     half = 0.45 * np.array(steps) / largest
-    radii = {at: float(polytopes.ball_radius[at]) for at in chosen}
+    radii = {at: float(polytopes.ball_radius[at]) for at in shapes}
     height = 4.2
     with house_style():
         figure = new_figure(TWO_COLUMNS, height)

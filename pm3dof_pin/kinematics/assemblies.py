@@ -64,6 +64,17 @@ def _ends(robot: PlacedMechanism, count: int) -> Iterator[Assembly]:
             yield assemble(robot, pin.integrate(model, robot.described_home.q, motion))
 
 
+def _ends_within(robot: PlacedMechanism) -> Iterator[Assembly]:
+    """Close the loops from random starts within the limits of joints, those without limits as in the described home."""
+    generator = np.random.default_rng(0)
+    lower, upper, home = robot.lower_limits, robot.upper_limits, robot.described_home.q
+    limited = np.isfinite(lower) & np.isfinite(upper)
+    for _ in range(len(_DISTANCES) * _STARTS):
+        q = np.array(home)
+        q[limited] = generator.uniform(lower[limited], upper[limited])
+        yield assemble(robot, q)
+
+
 def _trial(robot: PlacedMechanism, ends: list[Assembly]) -> ClosingTrial:
     nearest = min(ends, key=lambda end: end.residual).configuration
     error = np.abs(nearest.closure_error)
@@ -77,13 +88,17 @@ def assembled_homes(robot: PlacedMechanism) -> list[AssembledHome]:
     """Find closed regular configurations near the described home, the nearest on each branch found, nearest first.
 
     Random starts up to 3 rad or characteristic lengths away are closed by the damped solver; those within all limits
-    are preferred. There may be further branches, farther away. Deterministic.
+    are preferred. If none is within, starts within the limits of all joints follow, as for files whose joints have
+    ranges without zero and no keyframe. There may be further branches, farther away. Deterministic.
 
     Raises:
         ConvergenceError: no closed regular configuration was found; the message says which loops stay open.
     """
     described, ends = robot.described_home, list(_ends(robot, _STARTS))
     found = [_candidate(robot, described, end.configuration) for end in ends if end.converged]
+    if not any(home.within_limits for home in found):
+        inside = [_candidate(robot, described, end.configuration) for end in _ends_within(robot) if end.converged]
+        found += [home for home in inside if home.within_limits]
     found.sort(key=lambda home: (not home.within_limits, home.distance))
     branches: Branches | None = None
     chosen: dict[int, AssembledHome] = {}

@@ -227,7 +227,7 @@ class ReferenceMotions:
         names = ", ".join(rate.name for rate in by)
         if Restriction(wanted, given.motions).rank.rank:
             raise SingularConfigurationError(
-                f"{robot.name}: {', '.join(rate.name for rate in of)} can move while {names} are at rest; "
+                f"{robot.name}: {', '.join(rate.name for rate in of)} can move with {names} at rest, "
                 f"at q = {listed(configuration.q)}"
             )
         if given.rank.rank < min(len(by), dof.count):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from pm3dof_pin.capability.tool_capability import ToolCapability, tool_capability
+from pm3dof_pin.capability.transmission import drive_values
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.maps.quantity import Dimension, Evaluation, MappedRobot, Quantity
 from pm3dof_pin.typing import Array
@@ -36,12 +39,11 @@ def _wrench_feasible(evaluation: Evaluation) -> Array:
     return np.where(np.isnan(margin), np.nan, margin >= 0.0)
 
 
-def _has_limits(limits: str, mapped: MappedRobot) -> bool:
+def _has_limits(name: Literal["effort", "speed"], mapped: MappedRobot) -> bool:
     robot = mapped.robot
     if robot.tool_frame is None or not robot.actuated_joints:
         return False
-    values = np.array(getattr(robot.model, limits))[robot.actuated_indices]
-    return bool(((values > 0.0) & (values < 1e300)).all())
+    return bool(np.isfinite(drive_values(robot, name)).all())
 
 
 CAPABILITY_QUANTITIES = (
@@ -51,7 +53,7 @@ CAPABILITY_QUANTITIES = (
         "N (x, y, z), N m (rx, ry, rz)",
         "greatest force or torque of the tool along each axis, in the weaker direction",
         (_AXIS,),
-        lambda mapped: _has_limits("upperEffortLimit", mapped),
+        lambda mapped: _has_limits("effort", mapped),
     ),
     Quantity(
         "speed_capability",
@@ -59,21 +61,21 @@ CAPABILITY_QUANTITIES = (
         "m/s (x, y, z), rad/s (rx, ry, rz)",
         "greatest speed of the tool along each axis alone",
         (_AXIS,),
-        lambda mapped: _has_limits("upperVelocityLimit", mapped),
+        lambda mapped: _has_limits("speed", mapped),
     ),
     Quantity(
         "wrench_margin",
         _wrench_margin,
         "1",
         "share of the drives' efforts left under the wrenches, or the weight alone; negative if one cannot be held",
-        exists=lambda mapped: _has_limits("upperEffortLimit", mapped),
+        exists=lambda mapped: _has_limits("effort", mapped),
     ),
     Quantity(
         "wrench_feasible",
         _wrench_feasible,
         "1",
         "1 where the drives hold each of the wrenches, else 0",
-        exists=lambda mapped: _has_limits("upperEffortLimit", mapped),
+        exists=lambda mapped: _has_limits("effort", mapped),
     ),
 )
 """The quantities of a robot whose drives have limits."""

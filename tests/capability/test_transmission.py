@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.optimize import linprog
 
 import pm3dof_pin as pm
 from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.capability.serial_model import serial_model
-from pm3dof_pin.capability.transmission import Transmission, held_outside, joint_driven, transmission
+from pm3dof_pin.capability.transmission import Transmission, drive_values, held_outside, joint_driven, transmission
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -106,7 +107,12 @@ def test_a_box_partly_out_of_reach(ankle: Robot) -> None:
     poses = ankle.solve(ankle.grid(pitch=(-1.0, 1.0, 41), roll=(-0.3, 0.3, 7)), on_failure="nan")
     found = serial_model(transmission(ankle, poses, on_failure="nan"))
     assert 0.0 < found.unreached == pytest.approx(1.0 - poses.within_limits.mean())
-    assert found.torque is None
+    assert found.speed is None
+    np.testing.assert_allclose([found.lower, found.upper], [[-1.0, -0.3], [1.0, 0.3]], atol=1e-9)
+    box = transmission(ankle, poses, speed=3.0, on_failure="nan")
+    for values in (box.pure_torques, box.torque_box, box.unit_pure_torques, box.pure_speeds):
+        assert (np.isnan(values).all(axis=-1) == ~poses.solved).all()
+    assert (np.isnan(box.torques.ball_radius) == ~poses.solved).all()
     inner = np.abs(np.linspace(-1.0, 1.0, 41)) <= found.reached_scale + 1e-9
     outer = np.abs(np.linspace(-1.0, 1.0, 7)) <= found.reached_scale + 1e-9
     assert poses.within_limits[np.ix_(inner, outer)].all()
@@ -134,8 +140,105 @@ def test_what_does_not_work_is_named(ankle: Robot) -> None:
         transmission(ankle, [0.0, 0.0], effort={"middle": 1.0})
     with pytest.raises(InvalidValueError, match="negative"):
         transmission(ankle, [0.0, 0.0], speed=-1.0)
-    with pytest.raises(SingularConfigurationError, match="do not determine"):
+    with pytest.raises(SingularConfigurationError, match=r"left_motor.*cannot determine pitch, roll"):
         transmission(joint_driven(ankle, ["pitch", "roll"], ["left_motor"]), [0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--joints pitch,rol", "no joint 'rol'"),
+        ("--joints pitch,pitch", "each joint once"),
+        ("--joints pitch,roll --subtree nothing", "no frame 'nothing'"),
+        ("--joints pitch,roll --effort 0", "positive"),
+        ("--joints pitch,roll --effort nan", "not a finite number"),
+        ("--joints pitch,roll --speed left_motor=-2", "positive"),
+        ("--joints pitch,roll --effort left_motor=1,left_motor=2", "left_motor twice"),
+        ("--joints pitch,roll --effort middle=1", "no drive 'middle'"),
+        ("--joints pitch,roll --over pitch -2 2 0", "increasing values"),
+        ("--joints pitch,roll --over yaw -2 2 3", "no coordinate 'yaw'"),
+        ("--joints pitch,roll --over pitch -2 2 30000 --over roll -2 2 30000", "900,000,000 poses"),
+        ("--joints pitch,roll --gains -1,2", "not negative"),
+    ],
+)
+def test_wrong_usage_is_named(run: Callable[..., Any], options: str, words: str) -> None:
+    result = run("transmission", "--robot", str(_ANKLE), *options.split())
+    assert result.returncode == 2
+    assert words in " ".join(result.stderr.split())
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--joints pitch,roll --over pitch 100 140 5", "no pose of the box is within limits"),
+        ("--joints pitch,roll --drives left_motor,left_motor", "each joint once"),
+        ("--joints pitch,roll --drives left_motor", "cannot determine pitch, roll"),
+        ("--joints pitch", "can move with pitch at rest"),
+    ],
+)
+def test_what_the_machine_cannot_do_is_named(run: Callable[..., Any], options: str, words: str) -> None:
+    result = run("transmission", "--robot", str(_ANKLE), *options.split())
+    assert result.returncode == 1
+    assert words in result.stderr
+
+
+def test_efforts_are_those_of_the_described_actuators(tmp_path: Path) -> None:
+    """A motor of MuJoCo gives its control, limited to both ranges, times its gear."""
+    text = _ANKLE.read_text()
+    for k, (old, new) in enumerate(
+        [
+            ('joint="left_motor" ctrlrange="-40 40"', 'joint="left_motor" gear="5" ctrlrange="-3 4"'),
+            ('joint="right_motor" ctrlrange="-40 40" forcerange="-40 40"', 'joint="right_motor" ctrlrange="0 9"'),
+        ]
+    ):
+        assert text.count(old) == 1, k
+        text = text.replace(old, new)
+    (tmp_path / "ankle.xml").write_text(text)
+    assert drive_values(pm.load(_ANKLE), "effort").tolist() == [40.0, 40.0]
+    assert drive_values(pm.load(tmp_path / "ankle.xml"), "effort").tolist() == [15.0, np.inf]
+
+
+def test_joints_without_a_range_given_take_their_own(answer: Callable[..., Any]) -> None:
+    box = answer("transmission", "--robot", str(_ANKLE), "--joints", "pitch,roll", "--over", "pitch", "-5", "5", "5")
+    np.testing.assert_allclose(box["box"]["lower_rad"], [-np.radians(5), -0.35])
+    np.testing.assert_allclose(box["box"]["upper_rad"], [np.radians(5), 0.35])
+
+
+def test_limits_of_the_serial_model_are_reached(answer: Callable[..., Any], tmp_path: Path) -> None:
+    """Also where the box reaches further to one side than to the other, in whichever order its joints are named."""
+    over = ["--over", "roll", "-15", "15", "7", "--over", "pitch", "-60", "60", "25"]
+    options = ["--robot", str(_ANKLE), "--joints", "pitch,roll", *over, "--out", str(tmp_path)]
+    result = answer("export", "serial", *options)
+    ankle = joint_driven(pm.load(_ANKLE), ["pitch", "roll"])
+    np.testing.assert_allclose(result["box"], np.radians([[-60, -15], [60, 15]]), atol=1e-9)
+    lower, upper = result["limits"]
+    np.testing.assert_allclose(np.add(lower, upper), 0.0, atol=1e-9)  # about the centre of the box
+    assert upper[0] > np.radians(20)
+    grid = ankle.grid(pitch=(lower[0], upper[0], 9), roll=(lower[1], upper[1], 9))
+    assert ankle.solve(grid, on_failure="nan").within_limits.all()
+    answer("transmission", *options)
+    with xr.open_dataset(tmp_path / "transmission.nc") as table:
+        at = table.isel(pitch=12, roll=4)
+        pose = ankle.solve([float(at["pitch"]), float(at["roll"])])
+        np.testing.assert_allclose([float(at["pitch"]), float(at["roll"])], np.radians([0.0, 5.0]), atol=1e-9)
+        expected = transmission(ankle, pose).jacobian[0, 0]
+        np.testing.assert_allclose(float(at.jacobian_left_motor_pitch), expected, rtol=1e-12)
+
+
+def test_many_joints_make_a_box_that_memory_holds(answer: Callable[..., Any]) -> None:
+    """Six drives are their own coordinates; 21 values of each would be 86 million poses."""
+    walker = str(_ANKLE.parents[1] / "walker" / "walker.xml")
+    result = answer("transmission", "--robot", walker, "--hold-base")
+    assert len(result["joints"]) >= 6
+
+
+def test_all_joints_at_once(box: Transmission) -> None:
+    """Every corner of the greatest box is within the drives' efforts, and some corner uses one up."""
+    corners = np.array([[a, b] for a in (-1, 1) for b in (-1, 1)])[:, None, None] * box.torque_box
+    drives = np.linalg.solve(box.jacobian.swapaxes(-1, -2), (corners + box.weight)[..., None])[..., 0]
+    used = np.abs(drives).max(axis=(0, -1))[box.poses.within_limits]
+    np.testing.assert_allclose(used, 40.0, rtol=1e-9)
 
 
 def test_the_command(answer: Callable[..., Any], tmp_path: Path) -> None:
