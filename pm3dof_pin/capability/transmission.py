@@ -295,10 +295,9 @@ def transmission(
     require_kind("robot", robot, Robot, "pm.load")
     names, drives = tuple(c.name for c in robot.coordinates), robot.actuated_joints
     if len(drives) < len(names) or not drives:
-        found = (
-            f"the drives ({', '.join(drives)}) cannot determine {', '.join(names)}" if drives else "there are no drives"
-        )
-        raise SingularConfigurationError(f"{robot.name}: {found}: name the driven joints, as with --drives A,B")
+        problem = f"the drives ({', '.join(drives)}) cannot determine {', '.join(names)}"
+        problem = problem if drives else "there are no drives"
+        raise SingularConfigurationError(f"{robot.name}: {problem}: name the driven joints, as with --drives A,B")
     poses = values if isinstance(values, Poses) else robot.solve(values, on_failure=options.get("on_failure", "raise"))
     found = jacobian(robot, poses, of=drives, by=names, with_derivatives=True, **options)
     assert found.derivatives is not None

@@ -26,14 +26,22 @@ _and, _or, _not = jnp.logical_and, jnp.logical_or, jnp.logical_not
 """,
     "torch": """import numpy as np
 import torch
-from torch import abs as fabs, atan2, cos, floor, sin, sqrt
-
-_and, _or, _not = torch.logical_and, torch.logical_or, torch.logical_not
 
 
-def where(condition, a, b):
-    like = {"dtype": torch.float64, "device": condition.device}
-    return torch.where(condition, torch.as_tensor(a, **like), torch.as_tensor(b, **like))
+def _tensor(value):  # PyTorch's functions take no plain numbers
+    if torch.is_tensor(value):
+        return value
+    return torch.tensor(value, dtype=torch.bool if isinstance(value, bool) else torch.float64)
+
+
+def _of(function):
+    return lambda *values: function(*map(_tensor, values))
+
+
+fabs, atan2, cos, floor, sin, sqrt, where = map(
+    _of, (torch.abs, torch.atan2, torch.cos, torch.floor, torch.sin, torch.sqrt, torch.where)
+)
+_and, _or, _not = map(_of, (torch.logical_and, torch.logical_or, torch.logical_not))
 """,
     "casadi": """import casadi
 import numpy as np

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -101,52 +100,18 @@ def test_derivatives_with_casadi(exported: Exported) -> None:
     assert np.abs(second - rates.derivatives).max() < 1e-9
 
 
-class Tensor(np.ndarray):
-    """What the functions use of PyTorch's tensors, by NumPy: for their syntax, where PyTorch is not installed."""
-
-    device = None
-
-    def detach(self) -> Tensor:
-        return self
-
-    def to(self, _: object) -> Tensor:
-        return self
-
-    def expand(self, shape: tuple[int, ...]) -> Any:
-        return np.broadcast_to(self, shape)
-
-
-class NoGrad:
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-
-def test_torch(exported: Exported, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_derivatives_with_torch(exported: Exported) -> None:
+    torch = pytest.importorskip("torch")
     robot = pm.load("pm3dof")
-    of = ["commands", "coordinates", "jacobian"]
-    is_installed = importlib.util.find_spec("torch") is not None
-    if not is_installed:
-        names = ("abs", "cos", "sin", "sqrt", "floor", "where", "logical_and", "logical_or", "logical_not", "float64")
-        fake = ModuleType("torch")
-        vars(fake).update({name: getattr(np, name) for name in names})
-        vars(fake).update(
-            atan2=np.arctan2,
-            no_grad=NoGrad,
-            is_tensor=lambda value: isinstance(value, Tensor),
-            as_tensor=lambda value, dtype=None, device=None: np.asarray(value, dtype=dtype).view(Tensor),
-            stack=lambda rows, dim: np.stack(rows, axis=dim).view(Tensor),
-        )
-        monkeypatch.setitem(sys.modules, "torch", fake)
-    module = exported(robot, of, "torch")
+    module = exported(robot, ["commands", "coordinates", "jacobian"], "torch")
     assert max(module._selftest().values()) < 1e-12
-    if is_installed:
-        import torch
-
-        pose = robot.solve([0.1, -0.2, 0.5])
-        rates = pm.jacobian(robot, pose, of="commands", by="coordinates").values
-        found = torch.autograd.functional.jacobian(module.commands, torch.tensor(pose.coordinates))
-        assert np.abs(found.numpy() - rates).max() < 1e-12
+    pose = robot.solve([0.1, -0.2, 0.5])
+    rates = pm.jacobian(robot, pose, of="commands", by="coordinates").values
+    differentiate = torch.autograd.functional.jacobian
+    found = differentiate(module.commands, torch.tensor(pose.coordinates)).numpy()
+    assert np.abs(found - rates).max() < 1e-12
+    back = differentiate(module.coordinates, torch.tensor(pose.commands)).numpy()
+    assert np.abs(back @ rates - np.eye(3)).max() < 1e-11
 
 
 def test_c_and_refusals(tmp_path: Path) -> None:
