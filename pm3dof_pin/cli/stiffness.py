@@ -24,6 +24,7 @@ from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_sti
 from pm3dof_pin.elastic.indices import axis_stiffness
 from pm3dof_pin.elastic.report import CartesianCompliance, cartesian_compliance, direction_names
 from pm3dof_pin.elastic.shares import shares
+from pm3dof_pin.elastic.springs import STUBBY, CantileverSpring
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.robot import Poses
@@ -73,6 +74,7 @@ def stiffness(
         return
     configuration = pose.configuration()
     tool = cartesian_compliance(elastic, configuration)
+    _name_stubby_beams(elastic, configuration)
     result = _read(tool.compliance, tool.spring_names, tool.contributions)
     if tool.rigid_directions.size:  # K does not exist, C does
         result |= {"K": None, "rigid_directions": tool.rigid_directions.T}
@@ -83,6 +85,20 @@ def stiffness(
     result["singularity_distances"] = read_singularity_distances(configuration)
     units = {key: unit for key, unit in _JSON_UNITS.items() if key in result or key in result.get("indices", {})}
     print_at_pose(pose, result | {"units": units}, _elastic_lines(result), as_json=as_json)
+
+
+def _name_stubby_beams(elastic: ElasticModel, configuration: Configuration) -> None:
+    """Print a message about beams that are rigid in shear and so short here that it would matter."""
+    where = elastic.configuration(configuration)
+    for spring, block in zip(elastic.springs, elastic.blocks, strict=True):
+        if not isinstance(spring, CantileverSpring) or spring.shear_stiffness is not None:
+            continue
+        length = spring.length if isinstance(spring.length, float) else elastic.length(block, where)
+        if (share := spring.shear_share(length)) >= STUBBY:
+            message(
+                f"pm3dof: '{spring.name}' is {1e3 * length:.3g} mm long here and rigid in shear as described; shear "
+                f"would add {100.0 * share:.0f} % to its lateral give (shear_stiffness)"
+            )
 
 
 def _free_motions(

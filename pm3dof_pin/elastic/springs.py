@@ -7,7 +7,8 @@ An entry is a mapping with a `name`, a `type` and the keys of that type:
 - cantilever: the tip of a cantilever; `at`, `axis`, `bending_stiffness` (E I), `torsional_stiffness` (G J),
   `unit: N m^2`, `length`, a number [m] or {joint, at_zero}; axially rigid unless there is `axial_stiffness` [N], its
   E A; `shear_stiffness` [N], its k G A (Timoshenko). Without it a beam is rigid in shear (Euler-Bernoulli), unless its
-  E A gives the section and it is stubby: then it has that of a round bar, and a warning says so; `rigid` declines.
+  E A or `thickness` [m] gives the section and it is stubby: then it has that of a round bar, and a warning says so;
+  `rigid` declines.
   `mass` [kg], the part of the body before it that bends with it; `elements`, the number of equal elements, by default
   1.
 - beam: any 6 x 6 stiffness of a tip; `at`, `matrix`.
@@ -49,7 +50,8 @@ JointSpringUnit = Literal["N/m", "N m/rad"]
 
 _log = logging.getLogger(__name__)
 
-_STUBBY = 0.05  # of the lateral give in bending, from which on shear counts
+STUBBY = 0.05
+"""Lateral give by shear relative to that by bending, from which on it counts."""
 
 MAX_ELEMENTS = 100
 """Largest number of elements of one cantilever."""
@@ -130,12 +132,38 @@ class CantileverSpring:
     #: first mode of a uniform beam (J. Rayleigh); several have half of their part at either end
     mass: float = 0.0
     loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
+    thickness: float | None = None  #: diameter of a round bar [m], by which shear is judged; None if unknown
+
+    def shear_share(self, length: float) -> float:
+        """Return the lateral give by shear relative to that by bending at a length [m], if shear were counted.
+
+        With k G A of a solid round bar: its radius is half the thickness, or that of E I and E A; Poisson's ratio is
+        that of E I and G J, the shear coefficient that of G. Cowper (J. Applied Mechanics 33, 1966). 0 if neither
+        thickness nor E A is known.
+        """
+        shear = self.estimated_shear_stiffness
+        return 0.0 if shear is None else 3.0 * self.bending_stiffness / (shear * length**2)
+
+    @property
+    def estimated_shear_stiffness(self) -> float | None:
+        """Shear stiffness k G A of :meth:`shear_share` [N]; None if the section is unknown."""
+        if self.thickness is not None:
+            radius_squared = 0.25 * self.thickness**2
+        elif self.axial_stiffness is not None:
+            radius_squared = 4.0 * self.bending_stiffness / self.axial_stiffness
+        else:
+            return None
+        poisson = min(max(self.bending_stiffness / self.torsional_stiffness - 1.0, 0.0), 0.5)
+        coefficient = 6.0 * (1.0 + poisson) / (7.0 + 6.0 * poisson)
+        return coefficient * 4.0 * self.bending_stiffness / radius_squared / (2.0 * (1.0 + poisson))
 
     def __post_init__(self) -> None:
         """Check the numbers."""
         _require_damping(self.loss_factor)
         object.__setattr__(self, "axis", _unit_vector(self.axis))
         _require_positive("bending_stiffness", self.bending_stiffness)
+        if self.thickness is not None and not 0.0 < self.thickness < np.inf:
+            raise InvalidValueError("thickness", self.thickness, "a positive length")
         _require_positive("torsional_stiffness", self.torsional_stiffness)
         for name in ("axial_stiffness", "shear_stiffness"):
             if (value := getattr(self, name)) is not None:
@@ -231,6 +259,7 @@ class _Cantilever(_Entry):
     shear_stiffness: Stiffness | Literal["rigid"] | None = None
     mass: float = 0.0
     loss_factor: float | None = None
+    thickness: PositiveLength | None = None
 
 
 class _Beam(_Entry):
@@ -293,23 +322,18 @@ def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tu
 def _with_shear(spring: Spring, source: Path | str) -> Spring:
     """Return a stubby beam of known section with the shear of a round bar, if its file does not say.
 
-    The radius is that of E I and E A, Poisson's ratio that of E I and G J. Beams whose length a joint changes are
-    judged at the joint's zero.
+    Beams whose length a joint changes are judged at the joint's zero.
     """
-    if not isinstance(spring, CantileverSpring) or spring.shear_stiffness is not None or spring.axial_stiffness is None:
+    if not isinstance(spring, CantileverSpring) or spring.shear_stiffness is not None:
         return spring
     length = spring.length.at_zero if isinstance(spring.length, JointLength) else spring.length
-    radius_squared = 4.0 * spring.bending_stiffness / spring.axial_stiffness
-    poisson = min(max(spring.bending_stiffness / spring.torsional_stiffness - 1.0, 0.0), 0.5)
-    coefficient = 6.0 * (1.0 + poisson) / (7.0 + 6.0 * poisson)  # of a round section, G. Cowper 1966
-    shear = coefficient * spring.axial_stiffness / (2.0 * (1.0 + poisson))
-    share = 3.0 * spring.bending_stiffness / (shear * length**2) if length > 0.0 else np.inf
-    if share < _STUBBY:
+    shear = spring.estimated_shear_stiffness
+    if shear is None or length <= 0.0 or (share := spring.shear_share(length)) < STUBBY:
         return spring
     _log.warning(
-        "%s: spring '%s' is %.3g m long and about %.3g m thick: shear adds %.0f %% to its lateral give. Taken: "
-        "shear_stiffness %.4g N, of a round bar; declare your own, or rigid",
-        *(source, spring.name, length, 2.0 * np.sqrt(radius_squared), 100.0 * share, shear),
+        "%s: spring '%s' is %.3g m long, and shear adds %.0f %% to its lateral give. Taken: shear_stiffness %.4g N, of "
+        "a round bar; declare your own, or rigid",
+        *(source, spring.name, length, 100.0 * share, shear),
     )
     return replace(spring, shear_stiffness=shear)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -136,8 +137,24 @@ def test_stubby_beams_of_known_section_shear(caplog: pytest.LogCaptureFixture) -
     assert isinstance(stubby, CantileverSpring)
     coefficient = 6.0 * (1.0 + poisson) / (7.0 + 6.0 * poisson)
     assert stubby.shear_stiffness == pytest.approx(coefficient * shear_modulus * area, rel=1e-9)
-    assert "0.02 m thick: shear adds 14 % to its lateral give" in caplog.text
+    assert "0.04 m long, and shear adds 14 % to its lateral give" in caplog.text
+    assert stubby.shear_share(0.02) == pytest.approx(
+        3.0 * young * np.pi * radius**4 / 4.0 / (stubby.shear_stiffness * 0.02**2), rel=1e-9
+    )
+    thick = {key: value for key, value in bar.items() if key != "axial_stiffness"} | {"thickness": 2.0 * radius}
+    (by_thickness,) = read_springs([thick | {"length": 0.04}], "closures.yaml")
+    assert isinstance(by_thickness, CantileverSpring)
+    assert by_thickness.shear_stiffness == pytest.approx(stubby.shear_stiffness, rel=1e-9)
     for given in ({"length": 0.4}, {"length": 0.04, "shear_stiffness": "rigid"}):
         (other,) = read_springs([bar | given], "closures.yaml")
         assert isinstance(other, CantileverSpring)
         assert other.shear_stiffness is None
+
+
+def test_the_command_says_where_shear_would_matter(run: Callable[..., Any]) -> None:
+    """At the top the tripod's leg is 18 mm long, 17.2 thick: 3 E I / (k G A L^2), k G A = 16.7 MN; not at home."""
+    top = run("stiffness", "--robot", "pm3dof", "0", "0", "0.3975")
+    assert "'passive_leg' is 18.3 mm long here and rigid in shear" in top.stderr
+    share = 100.0 * 3.0 * 899.6698 / (1.67e7 * 0.018322**2)
+    assert f"add {share:.0f} % to its lateral give" in top.stderr
+    assert "shear" not in run("stiffness", "--robot", "pm3dof", "0", "0", "0.49").stderr
