@@ -1,4 +1,4 @@
-"""The platform's independent motions, and the corresponding rates of the actuated joints."""
+"""The platform's independent motions, and drives that can move independently."""
 
 from __future__ import annotations
 
@@ -88,16 +88,6 @@ def tool_motions(configuration: Configuration, *, components: Sequence[ToolCompo
     """
     motions = independent_motions(configuration, components=components)
     return frozen(configuration.tool_jacobian @ motions)
-
-
-def actuation_jacobian(configuration: Configuration) -> Matrix:
-    """Compute the Jacobian from the rates of the :func:`independent_motions` to those of the actuated joints.
-
-    Shape=(number of actuated joints, p). For the tripod this is J_t, (8.9) of D. Zhang, Parallel Robotic Machine Tools
-    (2010). Arguments and errors as in :func:`independent_motions`.
-    """
-    motions = independent_motions(configuration)
-    return frozen(motions[configuration.mechanism.actuated_indices])
 
 
 def _most_independent(image: Matrix) -> list[int]:
