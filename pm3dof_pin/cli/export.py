@@ -14,7 +14,7 @@ from pm3dof_pin.kinematics.robot import Robot
 
 # as in pm3dof_pin.export.formats and .controllers, which are not imported just for the help
 _Format: TypeAlias = Literal["drake", "gepetto", "mjcf", "ros", "sdf", "urdf"]
-_Controller: TypeAlias = Literal["c", "linuxcnc"]
+_Controller: TypeAlias = Literal["c", "grblhal", "linuxcnc", "ros2_control"]
 
 
 def export(
@@ -43,7 +43,8 @@ def export(
     ros is a ROS 2 package; urdf is the URDF with its closures file, error file and SRDF. Mesh files are written next to
     it; --no-meshes omits them.
 
-    For controllers, commands from poses and back: c is C99 that needs only math.h.
+    For controllers, commands from poses and back: c is C99 that needs only math.h; linuxcnc is a configuration that
+    runs, grblhal a file of kinematics, ros2_control a package with a plugin and a transmission.
     """
     which.announce()
     folder = out if out is not None else Path("results") / format_name

@@ -10,17 +10,21 @@ from pm3dof_pin.arrays import require_choice
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller, Deviations
+from pm3dof_pin.export.grblhal import grblhal_files
 from pm3dof_pin.export.linuxcnc import linuxcnc_files
+from pm3dof_pin.export.ros2_control import ros2_control_files
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs.c import Real
 
-ControllerName: TypeAlias = Literal["c", "linuxcnc"]
+ControllerName: TypeAlias = Literal["c", "grblhal", "linuxcnc", "ros2_control"]
 """Name of a controller; "c" is C99 for any of them."""
 
 _WRITERS: Mapping[ControllerName, Callable[[Controller], dict[str, str]]] = {
     "c": c_files,
+    "grblhal": grblhal_files,
     "linuxcnc": linuxcnc_files,
+    "ros2_control": ros2_control_files,
 }
 
 
