@@ -23,8 +23,8 @@ _logger = logging.getLogger(__name__)
 AGREEING = 1e-6
 """Greatest difference of commands that agree [rad, characteristic lengths]."""
 
-_CONTRADICTION = 2e-3  # greatest one that errors of a machine explain, if commands are all that is known
-_OF_ERRORS = 0.05  # the same of a machine with errors, or near a guess
+_CONTRADICTION = 2e-3  # greatest one that errors of a machine explain, of a robot as described
+_OF_ERRORS = 0.05  # the same of a machine with errors
 _VALLEY = (0.1, -0.1, 0.2, -0.2, 0.4, -0.4)  # other starts, where commands change least
 _STEPS = 30
 _SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # factors tried in turn on a step that does not reduce the error
@@ -68,21 +68,21 @@ class SharedCommands:
         """Return the poses at all commands, where q are those of independent drives; NaN where they contradict.
 
         Commands that no pose meets are met by least squares if they differ from the pose's by little, with a warning
-        if the robot is as described and there are no starts.
+        if the robot is as described.
         """
         robot, off = self._robot, self._off(q, commands)
         rows = np.flatnonzero(~(off <= SOLVED) & np.isfinite(commands).all(axis=1))
         if not rows.size or len(robot.coordinates) != len(robot.placing_drives):
             return self.agreeing(q, commands)
         answer, off = np.where((off <= SOLVED)[:, None], q, np.nan), np.where(off <= SOLVED, off, np.inf)
-        described = starts is None and robot.prototype is robot
+        described, is_guessed = robot.prototype is robot, starts is not None
         enough, most = (AGREEING, _CONTRADICTION) if described else (_OF_ERRORS, _OF_ERRORS)
         home = np.tile(robot.home.q, (len(q), 1)) if starts is None else starts
-        for near in (q, home) if described else (home, q):
+        for near in (q, home) if described and not is_guessed else (home, q):
             own = rows[~(off[rows] <= enough) & np.isfinite(near[rows, 0])]
             self._improve(answer, off, own, commands, near[own], keep_branch=keep_branch)
         # near a singular pose of the drives, two poses have nearly the same commands
-        for length in _VALLEY if described else ():
+        for length in _VALLEY if described and not is_guessed else ():
             own = rows[(off[rows] > enough) & np.isfinite(off[rows])]
             if own.size:
                 weakest = np.linalg.svd(self._by_coordinates(answer[own]))[2][:, -1] * self._units

@@ -72,7 +72,8 @@ def test_commands_that_differ_slightly_are_met_by_least_squares(four_rrr: Robot)
 
 def test_commands_that_contradict_each_other_are_refused(four_rrr: Robot) -> None:
     commands = four_rrr.at(four_rrr.home.q).commands + np.array([0.0, 0.0, 0.0, 0.01])
-    assert np.isnan(four_rrr.forward(commands, on_failure="nan").q).all()
+    for guess in (None, four_rrr.home.q):
+        assert np.isnan(four_rrr.forward(commands, guess=guess, on_failure="nan").q).all()
     with pytest.raises(
         UnreachablePoseError, match=r"the commands contradict each other: (m\d, ){2}m\d alone determine the pose"
     ):
