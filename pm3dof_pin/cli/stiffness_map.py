@@ -245,12 +245,13 @@ def _map_of_chapter(
         "ranges": statistics,
     }
     lines = [
+        "Stiffness of the chapter's machine over its poses within every limit:",
         *_range_lines(statistics),
         "",
         f"{points**2:,} poses at z_e = {z_e:.6f} m, {inside:,} within every joint limit",
     ]
     if height is None and tilt is None and which.config is None:
-        lines += ["", "Table 8.3, on its own grid", *table_of_8_3]
+        lines += ["", "Table 8.3 of the chapter, over its own poses:", *table_of_8_3]
     print_result(result | table, lines, as_json=as_json, files=files)
 
 

@@ -11,6 +11,8 @@ from pm3dof_pin.cli.map_options import EngineOption
 from pm3dof_pin.cli.options import THE_TRIPOD, Config, Json, MachineOptions
 from pm3dof_pin.cli.output import print_result, table_lines
 
+_NEAR = 10  # units of the last printed digit within which numbers agree
+
 
 def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption = "program") -> None:
     """Print Table 8.3, published and computed; with --engine pinocchio, from the URDF's Jacobians."""
@@ -22,23 +24,41 @@ def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption
 
 
 def described(rows: Sequence[TableRow]) -> tuple[dict[str, Any], list[str]]:
-    """Return the rows as data for JSON, and as a text table with remarks below it."""
+    """Return the rows as data for JSON, and as a sentence and a text table with remarks as footnotes."""
     keys = ("axis", "statistic", "published", "computed", "relative_difference", "last_digit_difference", "remark")
     data = [{key: getattr(row, key) for key in keys} for row in rows]
+    remarked = [row for row in rows if row.remark]
     cells = [
         [
             *(row.axis, row.statistic, f"{row.published:.4e}", f"{row.computed:.4e}"),
-            *(f"{row.relative_difference:+.1e}", _verdict(row)),
+            *(f"{row.relative_difference:+.1e}", f"[{remarked.index(row) + 1}]" if row.remark else _verdict(row)),
         ]
         for row in rows
     ]
     header = ["axis", "statistic", "published", "computed", "difference", "to five digits"]
-    remarks = [f"{row.axis} {row.statistic}: the printed number {row.remark}" for row in rows if row.remark]
-    return {"rows": data}, [*table_lines(header, cells), *remarks]
+    notes = [
+        f"[{number}] {row.axis} {row.statistic}: the printed number {row.remark}"
+        for number, row in enumerate(remarked, start=1)
+    ]
+    return {"rows": data}, [_sentence(rows), *table_lines(header, cells), *notes]
+
+
+def _sentence(rows: Sequence[TableRow]) -> str:
+    """Say how many of the published numbers were computed again."""
+    plain = [row for row in rows if not row.remark]
+    exact = sum(row.last_digit_difference == 0 for row in plain)
+    near = sum(0 < abs(row.last_digit_difference) < _NEAR for row in plain)
+    parts = [f"{exact} of the {len(rows)} numbers printed are computed to all five digits"]
+    parts += [f"{near} within {max(d for row in plain if (d := abs(row.last_digit_difference)) < _NEAR)} of the last"] if near else []
+    if differ := len(plain) - exact - near:
+        parts.append(f"{differ} differ")
+    if noted := len(rows) - len(plain):
+        parts.append(f"{noted} is in doubt (below)" if noted == 1 else f"{noted} are in doubt (below)")
+    return f"{', '.join(parts)}."
 
 
 def _verdict(row: TableRow) -> str:
     difference = row.last_digit_difference
     if difference == 0:
         return "as printed"
-    return f"{difference:+d} in the last" if abs(difference) < 10 else "not met"
+    return f"{difference:+d} in the last" if abs(difference) < _NEAR else "differs"

@@ -136,7 +136,7 @@ def view(
         if forces and along is None:
             _draw_forces(viewer, shown)
         if model is not None:
-            _draw_load(viewer, model, shares)
+            _draw_load(viewer, model, shares, visible=workspace is None and along is None)
         if frames:
             viewer.frames()
         if labels:
@@ -213,13 +213,13 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
         _draw_ellipsoids(viewer, None, "velocity", None)
 
 
-def _draw_load(viewer: Viewer, model: ElasticModel, shares: ToolComponent | None) -> None:
+def _draw_load(viewer: Viewer, model: ElasticModel, shares: ToolComponent | None, *, visible: bool) -> None:
     """Draw the deflection under a load, and colour the legs by their share in it, or prepare the page to do so."""
     loads = [shares] if shares is not None else ["z", *TOOL_COMPONENTS]
     for load in loads:
         wrench = _LOAD * np.eye(6)[TOOL_COMPONENTS.index(load)]
         try:
-            viewer.load(model, wrench)
+            viewer.load(model, wrench, visible=visible)
             viewer.colour_legs(model, wrench, visible=shares is not None)
             return
         except PM3DofError:  # nothing deflects under this load

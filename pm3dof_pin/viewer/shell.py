@@ -42,12 +42,12 @@ class Shell:
         """Draw the shell at a path, with points of a size [m]."""
         tints = colours.blend(colours.INDEX_STOPS, self.layers[0].places)
         count = len(self.vertices)
-        surface = objects.mesh(objects.triangles(self.vertices, self.faces, tints[:count]), None, opacity=0.5)
+        surface = objects.mesh(objects.triangles(self.vertices, self.faces, tints[:count]), None, opacity=0.55)
         scene.set_object(f"{path}/surface", surface, casts_shadow=False)
         if len(self.points):
             cloud = objects.points(self.points, tints[count:], size)
             scene.set_object(f"{path}/points", cloud, casts_shadow=False)
-        lines = objects.line_segments(self.lines, (0.1, 0.1, 0.15), opacity=0.35)
+        lines = objects.line_segments(self.lines, (0.1, 0.1, 0.15), opacity=0.15)
         scene.set_object(f"{path}/lines", lines, casts_shadow=False)
 
     def entry(self, path: str, tool: str, tool_length: float) -> Entry:

@@ -167,6 +167,7 @@ class Viewer(ShownScene):
         self.scene.set_transforms(self._bodies.placements(configuration))
         if self._panel.get("path"):
             self._panel["path"] = None
+            self._entries.pop("trace", None)
             self.scene.stop_animation()
         self._panel["note"], self._panel["warnings"] = self._note(configuration)
         self._panel["q"] = configuration.q.tolist()
@@ -542,6 +543,11 @@ class Viewer(ShownScene):
             "singularity": _distances_to_singularities(configurations),
         }
         self.scene.set_animation(animation.clips(tracks, (frames - 1) / duration), repetitions=repetitions)
+        if self._sliders is not None and self.mechanism.tool_frame is not None:
+            # drawn by the page
+            lines = ["line of the tool, ellipsoids along it"]
+            nodes = ["/trace/line", "/trace/ellipsoids"]
+            self._show(Entry(key="trace", title="Path", lines=lines, nodes=nodes, of_pose=False))
         self._update()
 
     def look(self, azimuth: float = -62.0, elevation: float = 17.0, closeness: float | None = None) -> None:

@@ -54,7 +54,7 @@ VALUES = """rows => {
 }"""
 OVERLAPS = """(() => {
     const box = (each) => each.getBoundingClientRect();
-    const names = ["#panel", "#note", "#tools", "#path:not([hidden])"];
+    const names = ["#panel", "#note", "#tools", "#path:not([hidden])", "#scale:not([hidden])"];
     const seen = names.map((each) => document.querySelector(each)).filter(Boolean);
     const all = [...seen, ...document.querySelectorAll("#labels span")].filter((each) => box(each).width);
     const before = (a, b) => a.right <= b.left + 1 || a.bottom <= b.top + 1;

@@ -211,6 +211,20 @@ def test_a_path_is_gone_to_and_plotted(shown: Any, hexapod: Robot) -> None:
         assert shown.ask("document.querySelectorAll('#path .line').length") > 0, title
 
 
+def test_a_path_has_its_line_axes_and_ellipsoids(shown: Any, hexapod: Robot) -> None:
+    """The line passes the tool at every frame; the plot's ticks are in the unit that stands beside them."""
+    vertices = shown.ask("Array.from(pm3dof.node('/trace/line').object.children[0].geometry.attributes.position.array)")
+    path = hexapod.solve(np.linspace(hexapod.home_coordinates, POSE, 5)).positions
+    away = np.linalg.norm(np.reshape(vertices, (-1, 1, 3)) - path, axis=2).min(axis=0)
+    assert away.max() < 0.003
+    assert shown.ask("pm3dof.node('/trace/ellipsoids').object.children.length") == 5
+    shown.ask("pm3dof.plot('coordinates: lengths')")
+    texts = shown.ask("[...document.querySelectorAll('#path text')].map(text => text.textContent)")
+    assert "mm" in texts
+    assert {"0", "50", "100"} <= set(texts)
+    assert "2" in texts  # seconds, the duration
+
+
 def test_a_playing_path_brings_what_was_chosen_along(shown: Any, hexapod: Robot) -> None:
     """The ellipsoid and the numbers in the panel and at the axis are those of the compliance at the frame."""
     shown.ask("pm3dof.choose('compliance', 'free')")

@@ -279,6 +279,13 @@ def test_workspace_in_the_page(page: Any, mechanism: Robot, tmp_path: Path) -> N
         page.matrix("/robot/platform/tool/tip")[:3, 3], _tool_tips(mechanism.solve(pose), 0.2), atol=1e-12
     )
     assert page.is_visible("/workspace")
+    assert not page.ask("document.getElementById('scale').hidden")
+    ends = page.ask("[...document.querySelectorAll('#scale .ends span')].map(end => end.textContent)")
+    assert ends == page.ask("[...document.querySelectorAll('[data-key=workspace] .ends span')].map(e => e.textContent)")
+    assert not page.is_visible("/workspace/points")
+    page.ask("pm3dof.cutTo(0, 2, 0.5)")
+    assert page.is_visible("/workspace/points")
     page.tick("workspace")
     assert not page.is_visible("/workspace")
+    assert page.ask("document.getElementById('scale').hidden")
     assert page.browser.errors == []

@@ -6,7 +6,8 @@ hasWebGL && (() => {
   const bar = document.getElementById("path");
   const scrubber = bar.querySelector("input"), button = bar.querySelector("button"), select = bar.querySelector("select");
   const graph = bar.querySelector("svg");
-  const HEIGHT = 110; // of the plot [pixels]
+  const HEIGHT = 140, LEFT = 48, RIGHT = 12, HEAD = 20, FOOT = 18; // of the plot and its margins [pixels]
+  const PLAIN = ["", "\u00b0"]; // units without prefixes
   let width = 600;
   const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00"];
   let path = null, poses = [], time = null, series = null;
@@ -16,6 +17,24 @@ hasWebGL && (() => {
     Object.entries(attributes).forEach(([name, value]) => made.setAttribute(name, value));
     return made;
   };
+
+  const across = (part) => LEFT + (width - LEFT - RIGHT) * part;
+  const tickText = (value) => String(Number(value.toPrecision(6))).replace("-", "\u2212");
+
+  // Round numbers between two, at most so many and one.
+  function ticks(low, high, count) {
+    const power = 10 ** Math.floor(Math.log10((high - low) / count));
+    const step = [1, 2, 5, 10].map((factor) => factor * power).find((each) => (high - low) / each <= count);
+    const first = Math.ceil(low / step - 1e-9), last = Math.floor(high / step + 1e-9);
+    return Array.from({ length: last - first + 1 }, (_, k) => (first + k) * step);
+  }
+
+  // Powers of ten between two numbers, or 1, 2 and 5 times these if they are few.
+  function logarithmicTicks(low, high) {
+    const powers = Array.from({ length: 40 }, (_, k) => 10 ** (k - 20)).filter((each) => each > low / 10 && each < high * 1.001);
+    const inside = powers.filter((each) => each >= low * 0.999);
+    return inside.length > 2 ? inside : powers.flatMap((each) => [each, 2 * each, 5 * each]).filter((each) => each >= low * 0.999 && each <= high * 1.001);
+  }
 
   // Quantities that can be plotted: title, names of the lines, unit, and the numbers of a pose.
   function choices() {
@@ -103,8 +122,21 @@ hasWebGL && (() => {
     let low = Math.min(...finite), high = Math.max(...finite);
     const positive = low > 0 && high > 20 * low, place = positive ? Math.log : (value) => value;
     if (high - low <= 1e-9 * Math.max(Math.abs(high), Math.abs(low))) [low, high] = [low - Math.abs(low || 1) * 0.5, high + Math.abs(high || 1) * 0.5];
-    const x = (k) => 6 + (width - 12) * k / Math.max(1, rows.length - 1);
-    const y = (value) => HEIGHT - 8 - (HEIGHT - 30) * (place(value) - place(low)) / (place(high) - place(low));
+    const x = (k) => across(k / Math.max(1, rows.length - 1));
+    const y = (value) => HEIGHT - FOOT - (HEIGHT - FOOT - HEAD) * (place(value) - place(low)) / (place(high) - place(low));
+    const power = PLAIN.includes(chosen.unit) ? 0 : Math.min(9, Math.max(-9, 3 * Math.floor(Math.log10(Math.max(...finite.map(Math.abs)) || 1) / 3)));
+    const unit = PLAIN.includes(chosen.unit) ? chosen.unit : engineering(10 ** power, chosen.unit, 1).replace(/^1\u00a0?/, "");
+    (positive ? logarithmicTicks : ticks)(low, high, 4).forEach((value) => {
+      svg(graph, "line", { x1: LEFT, x2: width - RIGHT, y1: y(value), y2: y(value), class: "grid" });
+      svg(graph, "text", { x: LEFT - 5, y: y(value) + 4, "text-anchor": "end" }).textContent = tickText(value / 10 ** power);
+    });
+    ticks(0, path.duration, 6).forEach((value) => {
+      const at = across(value / path.duration);
+      svg(graph, "line", { x1: at, x2: at, y1: HEIGHT - FOOT, y2: HEIGHT - FOOT + 4, class: "axis" });
+      svg(graph, "text", { x: at, y: HEIGHT - 4, "text-anchor": "middle" }).textContent = `${tickText(value)}${value ? "" : "\u00a0s"}`;
+    });
+    svg(graph, "path", { d: `M${LEFT} ${HEAD}V${HEIGHT - FOOT}H${width - RIGHT}`, class: "axis" });
+    svg(graph, "text", { x: 4, y: 12 }).textContent = unit || "1";
     chosen.names.forEach((name, line) => {
       let d = "", drawn = false;
       rows.forEach((row, k) => {
@@ -114,9 +146,7 @@ hasWebGL && (() => {
       svg(graph, "path", { d, stroke: COLOURS[line % COLOURS.length], class: "line" });
       svg(graph, "text", { x: width - 6 - 62 * (chosen.names.length - 1 - line), y: 12, fill: COLOURS[line % COLOURS.length], "text-anchor": "end" }).textContent = name;
     });
-    const written = (value) => (chosen.unit === "" || chosen.unit === "\u00b0" || chosen.unit === "m" && high > 0.01 ? `${pm3dof.scientific(value)}${chosen.unit === "m" ? "\u00a0m" : chosen.unit}` : engineering(value, chosen.unit));
-    svg(graph, "text", { x: 6, y: 12 }).textContent = `${written(low)} to ${written(high)}${positive ? ", logarithmic" : ""}`;
-    svg(graph, "line", { y1: 16, y2: HEIGHT - 4, class: "cursor" });
+    svg(graph, "line", { y1: HEAD, y2: HEIGHT - FOOT, class: "cursor" });
     point(frame());
   }
 
@@ -124,7 +154,7 @@ hasWebGL && (() => {
 
   function point(index) {
     scrubber.value = index;
-    const cursor = graph.querySelector(".cursor"), place = 6 + (width - 12) * index / Math.max(1, path.frames.length - 1);
+    const cursor = graph.querySelector(".cursor"), place = across(index / Math.max(1, path.frames.length - 1));
     if (cursor) ["x1", "x2"].forEach((name) => cursor.setAttribute(name, place));
   }
 
@@ -179,7 +209,7 @@ hasWebGL && (() => {
   scrubber.addEventListener("input", () => go(scrubber.valueAsNumber));
   select.addEventListener("change", () => { draw(); pm3dof.tell("entries"); });
   graph.addEventListener("click", (event) => {
-    const box = graph.getBoundingClientRect(), part = ((event.clientX - box.left) / box.width * width - 6) / (width - 12);
+    const box = graph.getBoundingClientRect(), part = ((event.clientX - box.left) / box.width * width - LEFT) / (width - LEFT - RIGHT);
     go(Math.round(Math.min(1, Math.max(0, part)) * (path.frames.length - 1)));
   });
   on("panel", panelChanged);

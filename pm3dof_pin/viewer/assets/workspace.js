@@ -1,10 +1,13 @@
-// The workspace: the quantity that colours it, and a plane that cuts it.
+// The workspace: the quantity that colours it, its scale in the picture, and a plane that cuts it.
 "use strict";
 
 hasWebGL && (() => {
   const { viewer, blend, node, element, lineOf, on, tell } = pm3dof;
   const { THREE } = MeshCat;
   const AXES = ["x", "y", "z"];
+  const FADED = 0.3; // of the opacity of ellipsoids beside a workspace
+  const scale = document.getElementById("scale");
+  const opacities = new Map(); // of the ellipsoids' materials
   const state = { layer: 0, axis: 2, part: 1 }; // kept when the panel changes
   let put = () => {};
 
@@ -34,6 +37,25 @@ hasWebGL && (() => {
       apply();
     };
     put();
+  }
+
+  // The scale in the picture, and paler ellipsoids, while the workspace is shown.
+  function showScale() {
+    const entry = pm3dof.panel().legend.find(({ cut }) => cut), isDrawn = Boolean(entry) && pm3dof.isShown(entry);
+    scale.hidden = !isDrawn;
+    if (isDrawn) {
+      const { title, ends } = entry.cut.layers[state.layer];
+      scale.textContent = "";
+      element(scale, "div", "", title);
+      element(scale, "div", "bar").style.background = `linear-gradient(to right, ${entry.bar.colours.join(", ")})`;
+      const row = element(scale, "div", "ends");
+      ends.forEach((end) => element(row, "span", "", end));
+    }
+    pm3dof.panel().legend.filter(({ principal }) => principal).forEach(({ nodes }) => node(nodes[0]).object.traverse(({ material }) => {
+      if (!material?.transparent) return;
+      if (!opacities.has(material)) opacities.set(material, material.opacity);
+      material.opacity = opacities.get(material) * (isDrawn ? FADED : 1);
+    }));
   }
 
   function cutTo(layer, axis, part) {
@@ -67,6 +89,8 @@ hasWebGL && (() => {
     normal.setComponent(axis, -1);
     point.setComponent(axis, low[axis] + part * (high[axis] - low[axis]) + (part < 1 ? 0 : 1e3));
     viewer.scene.updateMatrixWorld();
+    // the surface hides points inside, which show only where it is cut open
+    nodes.filter((path) => path.endsWith("/points")).forEach((path) => { node(path).object.visible = part < 1; });
     const plane = new THREE.Plane().setFromNormalAndCoplanarPoint(normal, point).applyMatrix4(viewer.scene.matrixWorld);
     viewer.renderer.localClippingEnabled = true;
     nodes.forEach((path) => {
@@ -76,6 +100,7 @@ hasWebGL && (() => {
     viewer.set_dirty();
   }
 
-  on("panel", build);
+  on("panel", () => { build(); showScale(); });
+  on("entries", showScale);
   Object.assign(pm3dof, { cut: () => ({ ...state }), cutTo });
 })();
