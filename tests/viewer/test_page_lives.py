@@ -95,7 +95,7 @@ def test_a_restarted_server_is_found_again(page: Any, load: Callable[[str], Robo
     assert moved == pytest.approx(0.137, abs=1e-9)
     with Viewer(load("three_rps"), port=port) as second:
         second.start()
-        wait_for(page, "document.querySelector('h1')?.textContent === '3-RPS'")
+        wait_for(page, "pm3dof.panel().robot === 'three_rps'")
         np.testing.assert_allclose(page.ask("[...pm3dof.pose().q]"), second.mechanism.home.q, atol=1e-12)
 
 
