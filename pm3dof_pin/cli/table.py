@@ -47,10 +47,10 @@ def _sentence(rows: Sequence[TableRow]) -> str:
     """Say how many of the published numbers were computed again."""
     plain = [row for row in rows if not row.remark]
     exact = sum(row.last_digit_difference == 0 for row in plain)
-    near = sum(0 < abs(row.last_digit_difference) < _NEAR for row in plain)
+    near = [off for row in plain if 0 < (off := abs(row.last_digit_difference)) < _NEAR]
     parts = [f"{exact} of the {len(rows)} numbers printed are computed to all five digits"]
-    parts += [f"{near} within {max(d for row in plain if (d := abs(row.last_digit_difference)) < _NEAR)} of the last"] if near else []
-    if differ := len(plain) - exact - near:
+    parts += [f"{len(near)} within {max(near)} of the last"] if near else []
+    if differ := len(plain) - exact - len(near):
         parts.append(f"{differ} differ")
     if noted := len(rows) - len(plain):
         parts.append(f"{noted} is in doubt (below)" if noted == 1 else f"{noted} are in doubt (below)")
