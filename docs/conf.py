@@ -38,6 +38,7 @@ html_theme = "furo"
 html_title = "pm3dof-pin"
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
+html_logo = html_favicon = "static/logo.svg"
 html_show_sphinx = False
 html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#0b5c8a", "color-brand-content": "#0b5c8a"},

@@ -1,11 +1,13 @@
 """Take the pictures of the documentation's gallery with a headless browser.
 
-They are written under results/gallery/, or with --out docs/pictures where the documentation shows them.
+They are written under results/gallery/, or with --out docs/pictures where the documentation shows them; the social card
+belongs into docs/static.
 """
 
 from __future__ import annotations
 
 import argparse
+import base64
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,16 +24,22 @@ from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Motion
 from pm3dof_pin.viewer import Viewer
-from pm3dof_pin.viewer.browser import find_browser
+from pm3dof_pin.viewer.browser import Browser, find_browser
 from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "gallery"
 SIZE = {"width": 1000, "height": 750}
+CARD = """<body style="margin: 0; background: #fff; color: #1b2430; font-family: 'DejaVu Sans', sans-serif">
+<img src="data:image/png;base64,{machine}" style="position: absolute; right: 0; top: 0">
+<div style="position: absolute; left: 64px; top: 190px; width: 500px">
+{logo}<h1 style="font-size: 60px; margin: 20px 0 14px">pm3dof-pin</h1>
+<p style="font-size: 29px; line-height: 1.35; margin: 0">
+Stiffness, errors and calibration of robots with closed loops</p></div></body>"""
 KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 
 
 def main(folder: Path = RESULTS) -> None:
-    require_browser_and_arm()
+    require_browser()
     folder.mkdir(parents=True, exist_ok=True)
 
     with tripod_at(10.0, -15.0, 0.5) as (viewer, model):
@@ -58,6 +66,10 @@ def main(folder: Path = RESULTS) -> None:
             viewer.colour_legs(model, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
             print(viewer.save_picture(folder / f"viewer_{robot}.png", **SIZE))
 
+    print(social_card(folder))
+
+    if find_spec("example_robot_data") is None:
+        sys.exit("the last picture shows an arm of example-robot-data: pip install 'pm3dof-pin[robots]'")
     with serial_arm() as (viewer, model):
         draw_ellipsoids(viewer, model, "compliance")
         draw_forces(viewer)
@@ -65,14 +77,27 @@ def main(folder: Path = RESULTS) -> None:
         print(viewer.save_picture(folder / "viewer_arm.png", **SIZE))
 
 
-def require_browser_and_arm() -> None:
-    """Report at once what is missing: a browser, or the serial arm of the last picture."""
+def require_browser() -> None:
+    """Report at once that a browser is missing."""
     try:
         find_browser()
     except PM3DofError as error:
         sys.exit(f"a browser takes the pictures: {error}")
-    if find_spec("example_robot_data") is None:
-        sys.exit("the last picture shows an arm of example-robot-data: pip install 'pm3dof-pin[test]'")
+
+
+def social_card(folder: Path) -> Path:
+    """Draw the picture that links to the documentation show: the logo, a name, and the hexapod under a load."""
+    logo = (Path(__file__).resolve().parents[1] / "docs" / "static" / "logo.svg").read_text(encoding="utf-8")
+    with Viewer(Robot.load("hexapod")) as viewer:
+        model = ElasticModel(viewer.mechanism)
+        draw_ellipsoids(viewer, model, "stiffness")
+        viewer.load(model, [60.0, 0.0, -80.0, 0.0, 0.0, 0.0])
+        (machine,) = Browser.pictures_of(viewer.html(), 640, 630, bare=True)
+    page = CARD.format(logo=logo, machine=base64.b64encode(machine).decode())
+    with Browser(1200, 630) as browser:
+        browser.open(f"data:text/html;base64,{base64.b64encode(page.encode()).decode()}")
+        (folder / "social_card.png").write_bytes(browser.picture())
+    return folder / "social_card.png"
 
 
 @contextmanager

@@ -31,6 +31,7 @@ def _run_examples(app: Sphinx) -> None:
     pages = Path(app.srcdir) / "examples" / "generated"
     shutil.rmtree(pages, ignore_errors=True)
     pages.mkdir()
+    cards = []
     for script in scripts:
         with tempfile.TemporaryDirectory() as folder:
             ended = subprocess.run(
@@ -47,6 +48,17 @@ def _run_examples(app: Sphinx) -> None:
             for picture in pictures:
                 shutil.copy(picture, pages)
             (pages / f"{script.stem}.md").write_text(_page(script, ended.stdout, pictures), encoding="utf-8")
+            cards.append(_card(script, [picture.name for picture in pictures]))
+    grid = "\n\n".join(["::::{grid} 1 2 3 3\n:gutter: 2", *cards, "::::"])
+    (pages / "cards.txt").write_text(grid, encoding="utf-8")
+
+
+def _card(script: Path, pictures: list[str]) -> str:
+    """Return a card that links to an example's page, with its first picture if it has one."""
+    title = (ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or "").partition("\n")[0].rstrip(".")
+    picture = [f":img-top: generated/{pictures[0]}"] if pictures else []
+    lines = [f":link: generated/{script.stem}", ":link-type: doc", *picture]
+    return "\n".join([":::{grid-item-card}", *lines, f"{int(script.stem[:2])}. {title}", ":::"])
 
 
 def _page(script: Path, printed: str, pictures: list[Path]) -> str:
@@ -72,7 +84,8 @@ def _write_live_pages(app: Sphinx, error: Exception | None) -> None:
             compliance = cartesian_compliance(model, robot.home).compliance
             viewer.stiffness_ellipsoid(compliance=compliance, kind="translation")
             viewer.stiffness_ellipsoid(compliance=compliance, kind="rotation")
-            viewer.colour_legs(model, visible=False)
+            viewer.load(model, [0.0, 0.0, -100.0, 0.0, 0.0, 0.0])
+            viewer.colour_legs(model, [0.0, 0.0, -100.0, 0.0, 0.0, 0.0], visible=False)
         except PM3DofError:
             viewer.motion_ellipsoid("velocity")
         viewer.save_html(folder / f"{name}.html")

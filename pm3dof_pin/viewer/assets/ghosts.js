@@ -4,6 +4,7 @@
 hasWebGL && (() => {
   const { node } = pm3dof;
   const { THREE } = MeshCat;
+  const materials = new Map(); // by path
   const STILL = new THREE.Matrix4();
 
   class Ghost {
@@ -11,7 +12,10 @@ hasWebGL && (() => {
     constructor(path, bodies, colour, opacity) {
       this.container = node(path).object;
       this.container.clear();
-      const material = new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity, depthWrite: false, side: THREE.DoubleSide });
+      if (!materials.has(path)) {
+        materials.set(path, new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity, depthWrite: false, side: THREE.DoubleSide }));
+      }
+      const material = materials.get(path);
       this.copies = bodies.map((body) => {
         const copy = node(`${body.path}/visual`).object.clone(true);
         copy.traverse((part) => {
