@@ -183,8 +183,10 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
 
 def _elastic_model(machine: Robot) -> ElasticModel | None:
     if not machine.springs or machine.tool_frame is None:
-        lacks = "tool frame" if machine.springs else "springs"
-        message(f"pm3dof: {machine.name} has no {lacks} in its description: stiffness ellipsoids are not drawn")
+        lacks = [] if machine.springs else ["springs (--drive-stiffness)"]
+        lacks += [] if machine.tool_frame is not None else ["tool frame (--tool-frame)"]
+        missing = " and no ".join(lacks)
+        message(f"pm3dof: {machine.name} has no {missing} in its description: stiffness ellipsoids are not drawn")
         return None
     return ElasticModel(machine)
 

@@ -34,6 +34,8 @@ from pm3dof_pin.maps.limit_space import Flags
 from pm3dof_pin.maps.workspace import Workspace, WorkspaceSection
 from pm3dof_pin.typing import Array
 
+_SMOOTHING = 12  # steps in and out
+_SPREADING = 4  # steps to neighbours
 _OUTLINES = 6  # number of drawn outlines of sections
 _DASHES = 36  # per edge of the printed box
 _ELEVATION, _AZIMUTH = 18.0, -60.0  # of the view of the solid [deg]
@@ -157,18 +159,28 @@ class _Sheet:
     def solid(self) -> tuple[Array, Array]:
         """Return the faces of the surface, shape=(n, 4, 3), in display units, and the limits behind them.
 
-        Triangles between several limits are divided among their corners.
+        Triangles between several limits are divided among their corners, along smooth lines.
         """
         surface = self.surface
         assert surface is not None
-        points = self.drawn(surface.points)[surface.triangles]
-        limits = _first(surface.limits)[surface.triangles]
+        points = _smoothed(self.drawn(surface.points), surface.triangles)[surface.triangles]
+        weights = _spread(_first(surface.limits), surface.triangles)
+        limits, weights = weights.argmax(axis=1)[surface.triangles], weights[surface.triangles]
         mixed = np.any(limits != limits[:, :1], axis=1)
         whole = points[~mixed][:, [0, 1, 2, 2]]
-        corners, middle = points[mixed], points[mixed].mean(axis=1)
-        sides = 0.5 * (corners + np.roll(corners, -1, axis=1))
+        corners, own, weights = points[mixed], limits[mixed], weights[mixed]
+        ends = np.roll(corners, -1, axis=1), np.roll(own, -1, axis=1), np.roll(weights, -1, axis=1)
+        crossed = own != ends[1]
+        # where the limits of both ends weigh the same
+        lead, lost = (
+            np.take_along_axis(each, own[..., None], axis=2) - np.take_along_axis(each, ends[1][..., None], axis=2)
+            for each in (weights, ends[2])
+        )
+        part = np.where(crossed[..., None], lead / np.where(crossed[..., None], lead - lost, 1.0), 0.5)
+        sides = corners + part * (ends[0] - corners)
+        middle = (sides * crossed[..., None]).sum(axis=1) / np.maximum(crossed.sum(axis=1), 1)[:, None]
         parts = [np.stack([corners[:, k], sides[:, k], middle, sides[:, k - 1]], axis=1) for k in range(3)]
-        return np.concatenate([whole, *parts]), np.concatenate([limits[~mixed, 0], *limits[mixed].T])
+        return np.concatenate([whole, *parts]), np.concatenate([limits[~mixed, 0], *own.T])
 
     def colors(self, flags: Flags) -> Array:
         """Return the colour of each set of limits, that of the first if several bind, shape=(..., 4)."""
@@ -187,6 +199,34 @@ class _Sheet:
             return list(sections)
         indices = np.linspace(0, len(sections) - 1, _OUTLINES + 2).round().astype(int)[1:-1]
         return [sections[index] for index in np.unique(indices) if not sections[index].empty]
+
+
+def _smoothed(points: Array, triangles: NDArray[np.intp]) -> Array:
+    """Return the vertices of a surface without the saw teeth that a grid of cells leaves at sharp edges.
+
+    By steps in and out that keep the volume (G. Taubin, 1995); edges are rounded by less than a cell.
+    """
+    from trimesh import Trimesh
+    from trimesh.smoothing import filter_taubin
+
+    sizes = np.ptp(points, axis=0)
+    surface = Trimesh(points / sizes, triangles, process=False)
+    filter_taubin(surface, lamb=0.5, nu=0.53, iterations=_SMOOTHING)
+    return np.asarray(surface.vertices) * sizes
+
+
+def _spread(limits: NDArray[np.intp], triangles: NDArray[np.intp]) -> Array:
+    """Return the weight of each limit at each vertex, shape=(vertices, limits): its part among the neighbours."""
+    from scipy.sparse import coo_array
+
+    weights = np.eye(int(limits.max(initial=0)) + 1)[limits]
+    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    start, end = np.concatenate([pairs, pairs[:, ::-1]]).T
+    beside = coo_array((np.ones(len(start)), (start, end)), shape=(len(limits), len(limits))).tocsr()
+    count = np.maximum(beside.sum(axis=1), 1.0)[:, None]
+    for _ in range(_SPREADING):
+        weights = 0.5 * (weights + (beside @ weights) / count)
+    return np.asarray(weights)
 
 
 def _first(flags: Flags) -> NDArray[np.intp]:

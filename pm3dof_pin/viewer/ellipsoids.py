@@ -20,7 +20,7 @@ from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.elastic.indices import OtherMotions
-from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, RigidDirectionError, SingularConfigurationError
 from pm3dof_pin.typing import Array, Motion
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.plane import MotionSpace
@@ -57,6 +57,7 @@ COLOURS: dict[Motion, tuple[float, float, float]] = {"translation": (0.33, 0.20,
 _MIN_LENGTH = 1e-6  # relative to the longest semi-axis
 _OPACITY: dict[Motion, float] = {"translation": 0.24, "rotation": 0.14}
 _RING_POINTS = 72
+_NO_DEFLECTION = 1e-13  # relative to the greatest compliance of the same unit: less is rounding
 _RIGID = 1e-7  # relative to the greatest velocity: roots of rounding errors are smaller
 
 
@@ -126,6 +127,10 @@ def block(
     rows = slice(0, translations) if kind == "translation" else slice(translations, None)
     part: Array = (matrix if name == submatrix_of else inverse_definite(matrix))[rows, rows]
     if of != submatrix_of:
+        if of == "stiffness" and np.all(np.isfinite(part)):
+            softness = np.linalg.eigvalsh(part)
+            if softness[0] <= _NO_DEFLECTION * softness[-1]:
+                raise RigidDirectionError(f"no {of} ellipsoid of {kind}: some motion is rigid")
         part = inverse_definite(part)
     if not np.all(np.isfinite(part)):
         raise SingularConfigurationError(f"no {of} ellipsoid of {kind}: some motion is free or rigid")

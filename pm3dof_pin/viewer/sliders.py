@@ -30,6 +30,7 @@ from pm3dof_pin.viewer.scene import Json, column_major
 
 _SAME = 1e-6  # largest relative difference of items that the page may update
 _MARGIN = 0.15  # of a slider beyond its range, relative to the range, so that limits are visible
+_MAX_MARGIN = math.radians(15.0)  # of an angle
 _STEPS = 1000  # least number of steps of a slider
 _DEGREES = 180.0 / math.pi
 
@@ -239,7 +240,7 @@ def _slider(robot: Robot, coordinate: Coordinate, home: float) -> Json:
     lower, upper = robot.range_of(coordinate)
     least, greatest = (-math.pi, math.pi) if is_angle else (home - length, home + length)
     if math.isfinite(lower) and math.isfinite(upper):
-        margin = _MARGIN * (upper - lower)
+        margin = min(_MARGIN * (upper - lower), _MAX_MARGIN if is_angle else math.inf)
         least, greatest = lower - margin, upper + margin
     step = ellipsoids.round_length(max(factor * (greatest - least), 1e-9) / _STEPS)
     digits = max(0, -math.floor(math.log10(step) + 1e-9))

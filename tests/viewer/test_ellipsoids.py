@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, RigidDirectionError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.ellipsoids import DrawnEllipsoid, block, round_length, round_scale
@@ -50,6 +50,14 @@ def test_rigid_directions_have_a_compliance_only() -> None:
     np.testing.assert_array_equal(block(None, c, "translation", "compliance", "free"), np.diag([1.0, 1.0, 0.0]))
     with pytest.raises(SingularConfigurationError, match="no stiffness ellipsoid of translation"):
         block(None, c, "translation", "stiffness", "free")
+
+
+def test_a_direction_that_only_rounding_moves_is_rigid() -> None:
+    """As of a wrist at a singular pose, whose compliance about one axis is 1e-27 instead of zero."""
+    C = np.diag([1e-5, 1e-5, 1e-6, 2e-27, 1e-4, 2e-4])
+    with pytest.raises(RigidDirectionError, match="rigid"):
+        block(None, C, "rotation", "stiffness", "free")
+    np.testing.assert_allclose(block(None, C, "translation", "stiffness", "free"), np.diag([1e5, 1e5, 1e6]))
 
 
 def test_the_transform_is_the_eigen_decomposition() -> None:

@@ -134,7 +134,7 @@ hasWebGL && (() => {
 
   // A number at the end of every semi-axis, except where it would overlap another.
   function write() {
-    const taken = [];
+    const taken = [], tools = document.getElementById("tools").getBoundingClientRect();
     labels.textContent = "";
     pm3dof.panel().legend.filter((entry) => entry.principal && isShown(entry) && !entry.stale).forEach((entry) => {
       const { elements: m } = node(entry.nodes[0]).object.matrix;
@@ -145,6 +145,7 @@ hasWebGL && (() => {
         const middle = project([m[12], m[13], m[14]]);
         if (Math.hypot(x - middle[0], y - middle[1]) < CLOSE / 2) return;
         const text = engineering(entry.principal[axis], entry.live ? entry.live.unit : entry.unit), width = LETTER * text.length;
+        if (x + width / 2 > tools.left && x - width / 2 < tools.right && y - 2 * CLOSE < tools.bottom) return;
         if (taken.some(([a, b, other]) => Math.abs(y - b) < CLOSE && Math.abs(x - a) < (width + other) / 2 + 8)) return;
         taken.push([x, y, width]);
         const label = element(labels, "span", "", text);

@@ -16,6 +16,7 @@ const Robot = (() => {
   const SINGULAR = 1e-12; // smaller pivots of a scaled matrix are rounding
   const AT_LIMIT = 1e-3; // part of a range that counts as its end
   const RIGID = 1e-14; // relative to the greatest squared velocity: less is rounding
+  const NO_DEFLECTION = 1e-13; // relative to the greatest compliance of the same unit, as in pm3dof_pin/viewer/ellipsoids.py
   const SHARE_STEP = 1e-4; // relative change of a spring, for the derivative that gives its share
 
   const dot = (a, b) => a.reduce((sum, entry, index) => sum + entry * b[index], 0);
@@ -370,8 +371,11 @@ const Robot = (() => {
       const cut = (matrix) => matrix.slice(...part).map((row) => row.slice(...part));
       const held = others === "held";
       const inSpace = basis.map((a) => basis.map((b) => dot(a, apply(compliance, b))));
-      const kept = cut(held ? inverse(inSpace) : inSpace);
-      const block = held === (of === "stiffness") ? kept : inverse(kept), axes = basis.slice(...part).map((a) => a.slice(...rows));
+      const kept = cut(held ? inverse(inSpace) : inSpace), asIs = held === (of === "stiffness");
+      const softness = asIs || held ? [1] : eigen(kept).values; // of a stiffness that is the inverse of a compliance
+      const isRigid = Math.min(...softness) <= NO_DEFLECTION * Math.max(...softness);
+      if (isRigid) return [0, 1, 2].map(() => [NaN, NaN, NaN]);
+      const block = asIs ? kept : inverse(kept), axes = basis.slice(...part).map((a) => a.slice(...rows));
       return [0, 1, 2].map((i) => [0, 1, 2].map((j) =>
         block.reduce((sum, row, k) => sum + axes[k][i] * row.reduce((inner, entry, l) => inner + entry * axes[l][j], 0), 0)));
     }
