@@ -211,8 +211,9 @@ def _smoothed(points: Array, triangles: NDArray[np.intp]) -> Array:
 
     sizes = np.ptp(points, axis=0)
     surface = Trimesh(points / sizes, triangles, process=False)
-    filter_taubin(surface, lamb=0.5, nu=0.53, iterations=_SMOOTHING)
-    return np.asarray(surface.vertices) * sizes
+    filter_taubin(surface, lamb=0.5, nu=0.53, iterations=_SMOOTHING)  # type: ignore[no-untyped-call]
+    smoothed: Array = np.asarray(surface.vertices) * sizes
+    return smoothed
 
 
 def _spread(limits: NDArray[np.intp], triangles: NDArray[np.intp]) -> Array:
