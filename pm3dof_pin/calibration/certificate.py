@@ -218,11 +218,21 @@ def _about(path: Path) -> dict[str, Any]:
     ):
         raise DescriptionError(path, "temperature_C", f"expected lowest and highest, not {temperature!r}")
     limits = data.get("limits_m", {})
+    if isinstance(limits, dict):
+        data["limits_m"] = limits = {str(symbol): _number(value) for symbol, value in limits.items()}
     if not isinstance(limits, dict) or not all(_is_number(value) and value > 0.0 for value in limits.values()):
         raise DescriptionError(path, "limits_m", f"expected positive numbers of metres by symbol, not {limits!r}")
     if data.get("decision_rule", "guarded") not in ("simple", "guarded"):
         raise DescriptionError(path, "decision_rule", f"expected simple or guarded, not {data['decision_rule']!r}")
     return data
+
+
+def _number(value: object) -> object:
+    """Return a number for words such as 100e-6, which YAML takes for a word without a decimal point."""
+    try:
+        return float(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
 
 
 def _is_number(value: object) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -124,6 +124,7 @@ def plan_measurements(
     sigma: float | None = None,
     point: tuple[float, float, float] | None = None,
     centres: tuple[tuple[float, float, float], ...] = (),
+    known_centres: bool = False,
     length: float | None = None,
     method: Method = "lm",
     strategy: Strategy | None = None,
@@ -155,6 +156,7 @@ def plan_measurements(
         sigma: for names: noise of a coordinate [m].
         point: for names: the ball, stylus or target, in tool axes [m].
         centres: for names: where distances start, or the instrument is, base axes [m].
+        known_centres: for names: whether the centres were measured beforehand; otherwise they are estimated.
         length: for names: length of a ballbar [m].
         method: calibration method, which determines the strategy.
         strategy: another strategy.
@@ -185,6 +187,9 @@ def plan_measurements(
     if isinstance(instrument, str):
         given = {} if length is None else {"length": length}
         instrument = placed_instrument(instrument, drawn, sigma=sigma, point=point, centres=centres, **given)
+        if known_centres and not (centres and instrument.centres):
+            raise InvalidValueError("known centres", problem="are not given", expected="those of wires or a ballbar")
+        instrument = replace(instrument, known_centres=known_centres)
     choices = touching_poses(drawn, instrument)
     choices = _declared(choices) if among is None else choices
     near_singular, sizes = 0, np.zeros(len(choices))

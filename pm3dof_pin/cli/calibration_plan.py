@@ -80,6 +80,9 @@ def calibration_plan(
             help="Where the instrument is about, base axes [m]: socket, plane, line, camera; for wires repeated.",
         ),
     ] = None,
+    known_centres: Annotated[
+        bool, typer.Option("--known-centres", help="The --centre of wires or ballbar were measured beforehand.")
+    ] = False,
     length: Annotated[float | None, typer.Option(metavar="METRES", help="Length of a ballbar (0.15).")] = None,
     sigma: Annotated[
         float | None, typer.Option(min=1e-9, help="Noise of the instrument [m], of a level [rad]; else a usual one.")
@@ -188,6 +191,7 @@ def calibration_plan(
             sigma=sigma,
             point=point,
             centres=tuple((place.x, place.y, place.z) for place in centre or ()),
+            known_centres=known_centres,
             length=length,
             method=method,
             strategy=strategy,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -10,15 +11,19 @@ import typer
 from pm3dof_pin.cli.options import ColumnsOf, Json, RobotOptions
 from pm3dof_pin.cli.output import message, print_result, table_lines
 from pm3dof_pin.exceptions import OutputError, lines_in_words
+from pm3dof_pin.measuring.ballbar import Sense
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
 
 def measurements(
-    action: Annotated[Literal["check", "join"], typer.Argument(help="What to do.", show_default=False)],
+    action: Annotated[Literal["check", "join", "ballbar"], typer.Argument(help="What to do.", show_default=False)],
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="check: measurements; join: a log of commands, a tracker.")
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="check: measurements; join: a log of commands, a tracker; ballbar: traces."
+        ),
     ],
     which: RobotOptions,
     columns: ColumnsOf = None,
@@ -35,18 +40,38 @@ def measurements(
         float, typer.Option("--offset-s", help="join: what to add to the tracker's times to have the log's [s].")
     ] = 0.0,
     in_order: Annotated[bool, typer.Option("--in-order", help="join: row by row, without times.")] = False,
-    out: Annotated[Path, typer.Option(help="join: output file (CSV).")] = Path("results/measurements.csv"),
-    force: Annotated[bool, typer.Option("--force", help="join: replace the output file if it exists.")] = False,
+    centre: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(metavar="X Y Z", help="ballbar: about where the socket is, base axes [m]."),
+    ] = None,
+    length: Annotated[
+        float, typer.Option(min=1e-6, help="ballbar: length of the bar, radius of the circle [m].")
+    ] = 0.15,
+    plane: Annotated[Literal["xy", "yz", "zx"], typer.Option(help="ballbar: plane of the circle.")] = "xy",
+    start: Annotated[float, typer.Option("--start-deg", help="ballbar: angle of the first sample [deg].")] = 0.0,
+    sense: Annotated[
+        list[Sense] | None,
+        typer.Option(help="ballbar: counter-clockwise or clockwise; once, or for each trace."),
+    ] = None,
+    feed: Annotated[
+        float | None, typer.Option(min=1e-9, help="ballbar: feed along the circle, of traces with times [m/s].")
+    ] = None,
+    samples: Annotated[int, typer.Option(min=4, help="ballbar: samples taken of each trace.")] = 72,
+    out: Annotated[Path, typer.Option(help="join, ballbar: output file (CSV).")] = Path("results/measurements.csv"),
+    force: Annotated[
+        bool, typer.Option("--force", help="join, ballbar: replace the output file if it exists.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Say what was understood of a file of measurements (check), or make one of a log and a tracker's list (join).
+    """Say what was understood of a file of measurements (check), or make one of other files (join, ballbar).
 
     Nothing is fitted. Lengths in metres, angles in radians.
     """
+    from pm3dof_pin.measuring.ballbar import Circle, ballbar_columns, write_ballbar
     from pm3dof_pin.measuring.export_file import ColumnMap
     from pm3dof_pin.measuring.joining import join
 
-    if len(files) != (1 if action == "check" else 2):
+    if action != "ballbar" and len(files) != (1 if action == "check" else 2):
         raise typer.BadParameter(f"{action} takes {'one file' if action == 'check' else 'two files'}")
     given, of_log = (None if each is None else ColumnMap.load(each) for each in (columns, log_columns))
     robot = which.load()
@@ -54,6 +79,23 @@ def measurements(
         return _check(files[0], robot, given, own_frame=own_frame, as_json=as_json)
     if out.exists() and not force:
         raise OutputError(out, "exists and may hold real measurements: use --force to replace it")
+    if action == "ballbar":
+        if centre is None:
+            raise typer.BadParameter("ballbar needs --centre")
+        senses = sense or [Sense.CCW]
+        if len(senses) not in (1, len(files)):
+            raise typer.BadParameter("expected --sense once, or for each trace")
+        traces = []
+        for k, file in enumerate(files):
+            circle = Circle(centre, length, plane, math.radians(start), senses[k % len(senses)], feed)
+            traces.append(ballbar_columns(file, robot, circle, samples=samples, columns=given))
+        path = write_ballbar(traces, out)
+        taken = sum(len(trace["sphere"]) for trace in traces)
+        found = {"robot": robot.name, "traces": len(files), "rows": taken}
+        print_result(
+            found, [f"{taken} distances from one socket, of {len(files)} traces"], as_json=as_json, files=[path]
+        )
+        return None
     within = None if in_order else 1e-3 * tolerance
     joined = join(files[0], files[1], robot, tolerance=within, offset=offset, log_columns=of_log, columns=given)
     path = joined.write(out)

@@ -35,8 +35,9 @@ class Instrument:
     target_sigma: float = 0.0  #: prior standard deviation of the targets' coordinates [m]; 0 if known exactly
     encoders: tuple[str, ...] = ()  #: passive joints whose encoders are read at each pose, with the noise above
     tilts_only: bool = False  #: whether of a pose only the turns about x and y are seen, as by a level
-    #: points of unknown place from which the distances of the targets are measured, base axes [m]
+    #: points, of unknown place by default, from which the distances of the targets are measured, base axes [m]
     centres: tuple[tuple[float, float, float], ...] = ()
+    known_centres: bool = False  #: whether these points were measured beforehand, and are known exactly
     length: float | None = None  #: the only distance that can be measured, of a ballbar [m]
     datum: str = ""  #: "plane", "line", "socket" or "camera" of unknown placement that the targets are measured against
     datum_place: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: about where it is, base axes [m]

@@ -147,7 +147,8 @@ def planned_measurements(poses: Poses, instrument: Instrument) -> Measurements:
         origins = np.array(instrument.centres)[numbers]
         distances = np.linalg.norm(points - origins, axis=1)
         alone = np.full(len(rows), -1)
-        found = replace(found, distances=distances, origins=origins, partners=alone, spheres=numbers + 1)
+        spheres = None if instrument.known_centres else numbers + 1
+        found = replace(found, distances=distances, origins=origins, partners=alone, spheres=spheres)
     else:
         entry = DATUM_KINDS[instrument.datum]
         datum = _datum(instrument, len(rows))

@@ -177,7 +177,8 @@ def test_a_report_to_sign(folder: Path, tmp_path: Path, run: Callable[..., Any])
     values, spread = {"A": 10e-6, "B": 5e-6, "R": 9e-6}, {"A": 2e-6, "B": 2e-6, "R": 2e-6}
     results.write_text(json.dumps(AcceptanceResult("positioning", values, spread, 20).as_data()))
     limits = {"positioning.A": 13e-6, "positioning.B": 6e-6, "positioning.R": 6e-6}
-    about.write_text(yaml.safe_dump(ABOUT | {"limits_m": limits}))
+    written = ", ".join(f"{symbol}: {1e6 * limit:.0f}e-6" for symbol, limit in limits.items())  # a word in YAML 1.1
+    about.write_text(yaml.safe_dump(ABOUT) + f"limits_m: {{{written}}}\n")
     done = run(
         "certificate", str(folder), "--about", "about.yaml", "--test", "positioning.json", "--out", "r", cwd=tmp_path
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -15,6 +16,7 @@ from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.instruments import InstrumentName, placed_instrument, planned_measurements
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
+from pm3dof_pin.measuring.nuisances import Nuisances
 
 MACHINES = Path(__file__).parents[1] / "machines"
 NAMES: tuple[InstrumentName, ...] = get_args(InstrumentName)
@@ -44,6 +46,21 @@ def test_what_must_touch_touches(name: InstrumentName, errors: GeometricErrors, 
     again = read_measurements(path, errors.robot, target_sigma=0.0)
     np.testing.assert_allclose(again.residuals(errors.robot.forward(again.commands))[again.seen], 0.0, atol=1e-8)
     assert len(again) == len(seen)
+
+
+def test_wires_from_known_points(errors: GeometricErrors) -> None:
+    """Points that were measured beforehand are not estimated: twelve numbers more for the machine."""
+    centres = ((0.3, 0.0, 0.4), (-0.2, 0.3, 0.4), (-0.2, -0.3, 0.5), (0.0, 0.0, 0.9))
+    poses = reachable_poses(errors.robot, 12, np.random.default_rng(0))
+    own = placed_instrument("wires", poses, centres=centres)
+    seen = [planned_measurements(poses, replace(own, known_centres=known)) for known in (False, True)]
+    units = tuple(command.unit for command in errors.robot.commands)
+    assert [len(Nuisances.from_measurements(each, units)) for each in seen] == [12, 0]
+    tips = poses.positions[:, None] - np.array(centres)
+    for each in seen:
+        np.testing.assert_allclose(each.distances, np.linalg.norm(tips, axis=2).ravel(), atol=1e-12)
+    with pytest.raises(InvalidValueError, match="those of wires or a ballbar"):
+        plan_measurements(errors, 10, instrument="probe", centres=centres[:1], known_centres=True, candidates=50)
 
 
 def test_a_level_sees_two_tilts(errors: GeometricErrors) -> None:
