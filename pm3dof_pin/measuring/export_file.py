@@ -2,8 +2,9 @@
 
 Understood without being told: UTF-8, UTF-16, and Latin-1 in headings; comments (#, //, %) and other lines before the
 header, or a header within a comment; `sep=;`; semicolons, tabs and decimal commas; a comma at the end of lines; units
-in headings, `X [mm]`, `X (mm)`, `X mm`, `X_mm`; capital letters; times as ISO 8601; columns of words. A
-:class:`ColumnMap` says the rest: other names, the order of Euler angles, a missing header.
+in headings, `X [mm]`, `X (mm)`, `X mm`, `X_mm`, or in a row below them; headers repeated further down; capital
+letters; times as ISO 8601; columns of words. A :class:`ColumnMap` says the rest: other names, the order of Euler
+angles, a missing header.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import csv
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -22,6 +22,7 @@ from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError
 from pm3dof_pin.files import csv_text, read_bytes, without_apostrophe
 from pm3dof_pin.measuring.angles import AngleOrder
+from pm3dof_pin.measuring.clock_times import replace_times
 
 IGNORE = "ignore"
 """In place of a column's name: the column is not used."""
@@ -218,14 +219,15 @@ class Export:
         else:
             header_line, headings, separator = _header(lines, separator, given, stems)
         decimal = given.decimal or ("." if separator == "," else ",")
-        names = [given.name_of(without_apostrophe(heading.strip())) for heading in headings]
         rows = _rows(path, lines, header_line, separator)
+        headings, rows = _without_headings(headings, rows)
+        names = [given.name_of(without_apostrophe(heading.strip())) for heading in headings]
         names, rows = _without_last(path, header_line, names, rows)
         kept = [k for k, name in enumerate(names) if name != IGNORE]
         headed = [names[k] for k in kept]
         cells = {line: [row[k].strip() for k in kept] for line, row in rows.items()}
         for k, name in enumerate(headed):
-            if _split(name)[0] == "time" and _as_seconds(path, cells, k):
+            if _split(name)[0] == "time" and replace_times(path, cells, k):
                 headed[k] = "time_s"
         bare = [
             headings[kept[k]]
@@ -348,6 +350,21 @@ def _rows(path: Path, lines: list[str], header_line: int, separator: str) -> dic
     return rows
 
 
+def _without_headings(
+    headings: Sequence[str], rows: dict[int, list[str]]
+) -> tuple[Sequence[str], dict[int, list[str]]]:
+    """Drop repeated headers, and a row of units below the header, which become part of the headings."""
+    same = [heading.strip() for heading in headings]
+    rows = {line: row for line, row in rows.items() if [cell.strip() for cell in row] != same}
+    first = next(iter(rows), 0)
+    words = [cell.strip(" []()").lower() for cell in rows.get(first, ())]
+    if any(words) and all(word in _UNIT_OF for word in words if word not in ("", "-")):
+        del rows[first]
+        told = dict(enumerate(words[: len(same)]))
+        headings = [f"{name} [{told[k]}]" if told.get(k) in _UNIT_OF else name for k, name in enumerate(same)]
+    return headings, rows
+
+
 def _without_last(
     path: Path, header_line: int, names: list[str], rows: dict[int, list[str]]
 ) -> tuple[list[str], dict[int, list[str]]]:
@@ -361,27 +378,6 @@ def _without_last(
             what = "as in the header" if header_line else "as in --columns"
             raise MeasurementError(path, f"{len(row)} cells, expected {count} {what}", [line])
     return names[:count], rows
-
-
-def _as_seconds(path: Path, cells: dict[int, list[str]], k: int) -> bool:
-    """Replace ISO 8601 times in a column by seconds; tell whether it has any."""
-    if not any(re.match(r"\d{4}-\d\d-\d\d|\d\d?:\d\d", row[k]) for row in cells.values()):
-        return False
-    for line, row in cells.items():
-        if row[k]:
-            row[k] = repr(_seconds(path, line, row[k]))
-    return True
-
-
-def _seconds(path: Path, line: int, text: str) -> float:
-    word = text.replace(",", ".")
-    try:
-        if clock := re.fullmatch(r"(\d\d?):(\d\d)(?::(\d\d(?:\.\d*)?))?", word):
-            return 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + float(clock[3] or 0.0)
-        moment = datetime.fromisoformat(word)
-    except ValueError as error:
-        raise MeasurementError(path, f"'{text}' is not a time, expected ISO 8601", [line]) from error
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def _are_numbers(cells: dict[int, list[str]], k: int) -> bool:

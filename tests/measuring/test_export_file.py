@@ -67,6 +67,11 @@ FORMS: dict[str, Callable[[list[list[str]]], bytes]] = {
     "sep=": lambda c: ("sep=|\n" + table(HEADER.replace(",", "|"), c, "|")).encode(),
     "Windows line ends": lambda c: table(HEADER, c, end="\r\n").encode(),
     "words": lambda c: table("Target," + HEADER, [[f"P{k}", *row] for k, row in enumerate(c)]).encode(),
+    "a row of units": lambda c: table(
+        "U1,U2,U3,X,Y,Z",
+        [["m"] * 3 + ["[mm]"] * 3] + [[*a[:3], *b[3:]] for a, b in zip(c, millimetres(c), strict=True)],
+    ).encode(),
+    "headers repeated": lambda c: table(HEADER, [*c[:4], HEADER.split(","), *c[4:]]).encode(),
     "quoted cells": lambda c: table(HEADER, [[f'"{cell}"' for cell in row] for row in c]).encode(),
 }
 
@@ -101,6 +106,16 @@ def test_iso_times_are_seconds(
         times = read_measurements(path, tripod_nominal.robot).times
         assert times is not None
         np.testing.assert_allclose(np.diff(times), step, atol=1e-6)
+    # a clock without a date at midnight, and times of which some have no zone
+    around = [f"23:59:{50 + k}" for k in range(10)] + ["00:00:00", "0:00:01.0"]
+    path.write_text(table(HEADER + ",Time", [[*row, text] for row, text in zip(plain[0], around, strict=True)]))
+    times = read_measurements(path, tripod_nominal.robot).times
+    assert times is not None
+    np.testing.assert_allclose(np.diff(times), 1.0, atol=1e-6)
+    mixed = [f"2026-03-29T00:00:{k:02d}{'Z' if k == 7 else ''}" for k in range(12)]
+    path.write_text(table(HEADER + ",Time", [[*row, text] for row, text in zip(plain[0], mixed, strict=True)]))
+    with pytest.raises(MeasurementError, match="lines 2, 9: some times have a zone"):
+        read_measurements(path, tripod_nominal.robot)
     # Python's own calendar: seconds of 2026-03-28 23:00 UTC
     path.write_text(table(HEADER + ",time", [[*row, "2026-03-29T00:00:00+01:00"] for row in plain[0]]))
     times = read_measurements(path, tripod_nominal.robot).times
@@ -189,7 +204,7 @@ def test_a_map_says_the_rest(
         ("encoding: no-such-code", "one that Python knows"),
         ("separator: ', '", "one character"),
         ("profile: cooka", "expected one of abb"),
-        ("- x", "expected some of columns"),
+        ("- x", "expected a mapping of keys"),
         ("a: [", "expected YAML"),
     ],
 )
