@@ -9,6 +9,7 @@ unsolved poses are NaN.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -21,7 +22,16 @@ from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Matrix
 
 _PARALLEL = 1e-10  # relative length of a normal to generators that are linearly dependent
+_AT_ONCE = 1_000_000  # numbers of generators whose normals are found together
 _SAME = 1e-9  # relative distance of vertices that are one
+
+MOST_FACETS = 100_000
+"""Most pairs of facets of the image of a box: 28 drives of a body in space have 98,280."""
+
+
+def pairs_of_facets(drives: int, dimensions: int) -> int:
+    """Return how many pairs of facets the image of a box of one dimension per drive may have."""
+    return math.comb(drives, dimensions - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +88,8 @@ class Polytopes:
             centre: c, what all other forces add, shape=(..., d).
 
         Raises:
-            InvalidValueError: there are fewer drives than dimensions, or ends are not finite or exchanged.
+            InvalidValueError: there are fewer drives than dimensions, or so many that there may be more than
+                :data:`MOST_FACETS` pairs of facets; or ends are not finite or exchanged.
         """
         matrix = np.asarray(generators, dtype=float)
         dimensions, count = matrix.shape[-2:]
@@ -87,11 +98,17 @@ class Polytopes:
             raise InvalidValueError("generators", f"{count} drives", f"at least {dimensions}, one per dimension")
         if not (np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
             raise InvalidValueError("limits of the drives", (lower, upper), "finite ends, the lower one first")
+        if (pairs := pairs_of_facets(count, dimensions)) > MOST_FACETS:
+            asked = f"{count} drives in {dimensions} dimensions"
+            raise InvalidValueError("generators", asked, f"at most {MOST_FACETS:,} pairs of facets, not {pairs:,}")
         if count == dimensions:
             normals = _square_normals(matrix)
         else:
-            chosen = combinations(range(count), dimensions - 1)
-            normals = np.stack([_normal(matrix[..., list(columns)]) for columns in chosen], axis=-2)
+            chosen = np.array(list(combinations(range(count), dimensions - 1)), dtype=int).reshape(
+                pairs, dimensions - 1
+            )
+            parts = np.array_split(chosen, min(pairs, 1 + pairs * dimensions * matrix[..., 0].size // _AT_ONCE))
+            normals = np.concatenate([_normal(np.moveaxis(matrix[..., part], -2, -3)) for part in parts], axis=-2)
         along = normals @ matrix  # shape=(..., m, u)
         middle = np.einsum("...md,...d->...m", normals, np.asarray(centre) + _times(matrix, 0.5 * (low + high)))
         half = np.einsum("...mu,...u->...m", np.abs(along), 0.5 * (high - low))

@@ -8,6 +8,7 @@ structure, and unlimited.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Unpack
@@ -16,17 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, require_kind
-from pm3dof_pin.capability.polytopes import Polytopes
+from pm3dof_pin.capability.polytopes import MOST_FACETS, Polytopes, pairs_of_facets
 from pm3dof_pin.capability.transmission import Limit, drive_values
 from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
-from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.actuation import independent_drives
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.pose_values import BatchOptions
 from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
-from pm3dof_pin.typing import Array, Vector
+from pm3dof_pin.tolerances import ROUNDING
+from pm3dof_pin.typing import Array, Matrix, Vector
 
 _REACHED = 1e-9  # relative part of a direction that the tool cannot move in, up to which it counts as rounding
 
@@ -56,12 +58,41 @@ class ToolCapability:
     def greatest_wrench(self, directions: ArrayLike) -> Array:
         """Return how many times each direction the tool can push, with no other load, shape=(...).
 
-        Infinite where the structure alone carries it; NaN where the drives cannot even hold the weight.
+        Infinite where the structure alone carries it; NaN where the drives cannot even hold the weight. Of drives whose
+        set of wrenches has too many facets, each direction is a linear program of its own, by HiGHS.
 
         Args:
             directions: wrenches [f; m], shape=(..., 6) [N, N m].
+
+        Raises:
+            InvalidValueError: the effort of a drive is not described.
         """
-        return self.wrenches.extent(directions)
+        if pairs_of_facets(len(self.drives), self.drive_rates.shape[-1]) <= MOST_FACETS:
+            return self.wrenches.extent(directions)
+        _require_known("effort", self.drives, self.effort)
+        batch = self.tool_rates.shape[:-2]
+        wanted = np.broadcast_to(np.asarray(directions, dtype=float), (*batch, 6))
+        felt = np.einsum("...tn,...t->...n", self.tool_rates, wanted)
+        found = [self._greatest_share(self.drive_rates[k], self.weight[k], felt[k]) for k in np.ndindex(batch)]
+        return np.array(found).reshape(batch)
+
+    def _greatest_share(self, drive_rates: Matrix, weight: Vector, felt: Vector) -> float:
+        """Return the greatest s at which efforts t of all drives give A^T t = h + s f, for f at independent drives."""
+        from scipy.optimize import linprog
+
+        count, size = len(self.drives), float(np.linalg.norm(felt))
+        if not np.isfinite([size, *weight, *drive_rates.ravel()]).all():
+            return math.nan
+        carried = size <= ROUNDING * float(np.abs(drive_rates).max(initial=0.0))
+        along = np.zeros_like(felt) if carried else felt / size
+        bounds = [*zip(-self.effort, self.effort, strict=True), (0.0, 0.0 if carried else None)]
+        equal = np.hstack([drive_rates.T, -along[:, None]])
+        best = linprog([0.0] * count + [-1.0], A_eq=equal, b_eq=weight, bounds=bounds, method="highs")
+        if best.status not in (0, 2):
+            raise ConvergenceError("the linear program of a wrench", math.nan, "N", best.nit, best.message)
+        if best.status == 2:
+            return math.nan
+        return math.inf if carried else float(best.x[-1]) / size
 
     def greatest_twist(self, directions: ArrayLike) -> Array:
         """Return how many times each direction the tool can move at most; 0 where it cannot move that way alone.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
@@ -12,7 +13,7 @@ import typer
 
 from pm3dof_pin.chapter import chapter_stiffness as chapter
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, MachineOptions, PoseOptions
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, MachineOptions, PoseOptions, numbers_by_name
 from pm3dof_pin.cli.output import fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import column_of, place, print_at_pose, si_values, solve_chosen
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
@@ -22,6 +23,8 @@ from pm3dof_pin.elastic.batch import compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
 from pm3dof_pin.elastic.indices import axis_stiffness
+from pm3dof_pin.elastic.loaded import loaded_equilibrium
+from pm3dof_pin.elastic.preload import preload
 from pm3dof_pin.elastic.report import CartesianCompliance, cartesian_compliance, direction_names
 from pm3dof_pin.elastic.shares import shares
 from pm3dof_pin.elastic.springs import STUBBY, CantileverSpring
@@ -54,14 +57,26 @@ def stiffness(
         Model,
         typer.Option(help="elastic: the 6 x 6 stiffness at the tool; chapter: the diagonal of section 8.2.3 (pm3dof)."),
     ] = "elastic",
+    preloaded: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--preload",
+            metavar="JOINT=FORCE,..",
+            help="Forces of some drives [N, N m]; redundant others balance them with the least.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compute the stiffness of the tool at a pose: angles in degrees, lengths in metres.
 
     If the tool is rigid in some direction there is no 6 x 6 stiffness: the compliance is printed, and the stiffness of
-    the tool's free motions. A pose that breaks a joint limit is still computed, with a message and exit status 1.
+    the tool's free motions. With --preload redundant drives work against each other, which changes the stiffness. A
+    pose that breaks a joint limit is still computed, with a message and exit status 1.
     """
     machine = which.load()
+    forces = numbers_by_name("--preload", preloaded)
+    if forces is not None and (model == "chapter" or chosen.poses is not None or not isinstance(forces, dict)):
+        raise typer.BadParameter("--preload requires JOINT=FORCE, the elastic model and a single pose")
     if model == "chapter":
         if not which.is_the_tripod or not chosen.numbers:
             raise typer.BadParameter(f"--model chapter requires a pose of the machine of chapter 8, {THE_TRIPOD}")
@@ -75,11 +90,23 @@ def stiffness(
     configuration = pose.configuration()
     tool = cartesian_compliance(elastic, configuration)
     _name_stubby_beams(elastic, configuration)
-    result = _read(tool.compliance, tool.spring_names, tool.contributions)
+    loaded = None
+    if isinstance(forces, dict):
+        loads = preload(elastic, configuration, forces)
+        loaded = loaded_equilibrium(elastic, configuration, loads)
+        result = _read(loaded.tangent_compliance(), (), np.zeros((0, 6, 6)))
+        result |= {"preload": loads.efforts, "least_eigenvalue": loaded.least_eigenvalue}
+    else:
+        result = _read(tool.compliance, tool.spring_names, tool.contributions)
     if tool.rigid_directions.size:  # K does not exist, C does
         result |= {"K": None, "rigid_directions": tool.rigid_directions.T}
         free = _free_motions(elastic, tool, configuration)
+        if free is not None and loaded is not None:
+            rates = np.linalg.pinv(free.twists)
+            free = replace(free, stiffness=np.linalg.inv(rates @ loaded.tangent_compliance() @ rates.T))
         result |= {} if free is None else _read_free_motions(free)
+    elif loaded is not None:
+        result |= _read_stiffness(loaded.tangent_stiffness(), loaded.tangent_compliance())
     else:
         result |= _read_stiffness(tool.stiffness, tool.compliance)
     result["singularity_distances"] = read_singularity_distances(configuration)
@@ -192,9 +219,14 @@ def _elastic_lines(result: dict[str, Any]) -> list[str]:
         f"{name} at the tool, axes of the base, order x, y, z, rx, ry, rz [{units}]",
         *table_lines(["", *TOOL_COMPONENTS], matrix),
         "",
-        "felt stiffness 1 / C_jj, as a probe measures it, and the share of each spring in the deflection",
+        "felt stiffness 1 / C_jj, as a probe measures it"
+        + ("" if "preload" in result else ", and the share of each spring in the deflection"),
         *table_lines(["axis", "felt", "unit", *result["spring_shares"]["x"]], felt),
     ]
+    if "preload" in result:
+        forces = ", ".join(f"{name} {force:.6g}" for name, force in result["preload"].items())
+        eigenvalue = f"least eigenvalue {result['least_eigenvalue']:.4f} (unstable below 0)"
+        lines += ["", f"preload [N, N m]: {forces}; {eigenvalue}"]
     if result["K"] is not None:
         lines += ["", *_index_lines(result["indices"])]
     elif "free_motions" in result:

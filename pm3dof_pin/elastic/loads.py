@@ -1,4 +1,4 @@
-"""Loads on an elastic mechanism: dead wrenches, payloads, its own weight; their forces and derivatives by q."""
+"""Loads on an elastic mechanism, dead wrenches, payloads, weight, efforts of joints: forces and derivatives by q."""
 
 from __future__ import annotations
 
@@ -34,11 +34,15 @@ class Loads:
         payloads: bodies fixed to frames, by frame, which add their weight: a point mass at the frame's origin [kg], or
             a `pin.Inertia` in the axes of the frame.
         own_weight: whether the mechanism's bodies have weight, in the model's gravity.
+        efforts: constant forces [N] or torques [N m] of joints of one degree of freedom, by name, positive along the
+            joint's coordinate, as :func:`~pm3dof_pin.elastic.preload.preload` finds; without effect where a drive
+            without a spring holds the joint.
     """
 
     wrenches: Mapping[str, ArrayLike] = field(default_factory=dict)
     payloads: Payloads = field(default_factory=dict)
     own_weight: bool = False
+    efforts: Mapping[str, float] = field(default_factory=dict)
 
 
 class AppliedLoads:
@@ -46,7 +50,9 @@ class AppliedLoads:
 
     Raises:
         FrameNotFoundError: the model has no such frame.
-        InvalidValueError: a wrench or mass is not finite or of the wrong shape, or a mass is negative.
+        JointNotFoundError: the model has no such joint.
+        InvalidValueError: a wrench, effort or mass is not finite or of the wrong shape, a mass is negative, or a joint
+            with an effort has several degrees of freedom.
         DescriptionError: the model has joints for which Pinocchio's derivatives are wrong.
     """
 
@@ -58,8 +64,14 @@ class AppliedLoads:
         weightless.gravity = pin.Motion.Zero()
         self._weightless = (weightless, weightless.createData())
         self._weights: list[tuple[pin.Model, pin.Data]] = []
+        self._efforts = np.zeros(mechanism.model.nv)
         self.size = 0.0
         for factor, load in loads:
+            for name, effort in load.efforts.items():
+                index = mechanism.single_joint(name).v_index
+                force = factor * float(finite_array(f"effort of {name}", effort, ()))
+                self._efforts[index] += force
+                self.size += abs(force) * float(mechanism.velocity_scale[index])
             for name, wrench in load.wrenches.items():
                 array = factor * finite_array(f"wrench on {name}", wrench, (6,))
                 self._wrenches.append((mechanism.frame_id(name), array))
@@ -73,7 +85,7 @@ class AppliedLoads:
         """Return the generalised forces of the loads, shape=(nv,) [N, N m]."""
         q = np.array(configuration.q)
         model, data = self._weightless
-        forces = np.zeros(model.nv)
+        forces = self._efforts.copy()
         for frame, wrench in self._wrenches:
             jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
             forces += jacobian.reshape(6, model.nv).T @ wrench

@@ -76,6 +76,11 @@ class Continuation:
         self._step = source.walk(robot, self._task)
         self._checks = source.checks(robot)
 
+    @property
+    def operations(self) -> int:
+        """How many operations a Newton step takes."""
+        return len(self._step.compiled.program.codes)
+
     @cached_property
     def _damped_step(self) -> BoundProgram:
         return self._source.damped_step(self._robot, self._task)

@@ -258,7 +258,7 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
         if len(rows) == len(columns):
             determinants = [_determinant(matrix[np.ix_(rows, columns)])]
             determinants += _minor(systems, held, count, [drives[row] for row in rows], columns)
-            shortest = min(determinants, key=lambda d: len(tree.graph.program("determinant", {"value": d}).codes))
+            shortest = min(determinants, key=tree.graph.operations)
             number = number + select(_is_flipped(shortest), 2.0 ** next(bits), 0.0)
     return number
 

@@ -127,33 +127,35 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     """Eliminate columns from a system of rows by Householder reflections: the sparsest first, of equals the last."""
     rows = [list(row) for row in system]
     active = list(range(len(rows)))
-    waiting = list(columns)
-    original = {c: _lengths([row[c] for row in rows]) for c in waiting}
-    largest = max((typical(lengths) for lengths in original.values()), default=0.0)
+    usual = {c: typical(_lengths([row[c] for row in rows])) for c in columns}
+    largest = max(usual.values(), default=0.0)
     done: list[int] = []
     dropped: list[int] = []
     pivots: list[int] = []
     reflections: list[Reflection] = []
-    while waiting:
-        fronts = {c: [i for i in active if not is_zero(rows[i][c])] for c in waiting}
-        sizes = {}
-        for c, front in fronts.items():
+    changed = list(columns)
+    fronts: dict[int, list[int]] = {}
+    sizes: dict[int, float] = {}
+    while True:
+        for c in changed:
+            front = fronts[c] = [i for i in active if not is_zero(rows[i][c])]
             lengths = _lengths([rows[i][c] for i in front])
             if not front or not np.nanmax(lengths) > ZERO * largest:
                 doubt.drop([rows[i][c] for i in front])
                 for i in front:
                     rows[i][c] = 0.0
                 dropped.append(c)
+                sizes.pop(c, None)
             else:
-                sizes[c] = typical(lengths) / typical(original[c])
-        waiting = list(sizes)
-        if not waiting:
+                sizes[c] = typical(lengths) / usual[c]
+        if not sizes:
             break
         enough = _SHARE * max(sizes.values())
-        chosen = min((c for c in waiting if sizes[c] >= enough), key=lambda c: (len(fronts[c]), -c))
+        chosen = min((c for c, size in sizes.items() if size >= enough), key=lambda c: (len(fronts[c]), -c))
         reflection = _reflect({i: rows[i][chosen] for i in fronts[chosen]})
         indices = reflection.indices
-        for c in range(system.shape[1]):
+        touched = [c for c in range(system.shape[1]) if not all(is_zero(rows[i][c]) for i in indices)]
+        for c in touched:
             column: dict[int, Scalar] = {i: rows[i][c] for i in indices}
             if c == chosen:
                 column = {**dict.fromkeys(indices, 0.0), indices[0]: reflection.pivot}
@@ -163,10 +165,11 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
                 rows[i][c] = column[i]
         doubt.note_pivot(reflection.size)
         reflections.append(reflection)
-        waiting.remove(chosen)
+        del sizes[chosen]
         done.append(chosen)
         pivots.append(indices[0])
         active.remove(indices[0])
+        changed = [c for c in touched if c in sizes]
     n = system.shape[1]
     return Elimination(
         tuple(done),
@@ -335,7 +338,9 @@ def typical(values: Array | float) -> float:
     finite = np.asarray(values)[np.isfinite(values)]
     if not finite.size:
         raise ProgramError("a number of the program is undefined at all sample poses")
-    return float(np.median(finite))
+    finite.sort()
+    middle = len(finite) // 2
+    return float(finite[middle] if len(finite) % 2 else (finite[middle - 1] + finite[middle]) / 2.0)
 
 
 def zeros(rows: int, columns: int) -> Objects:

@@ -102,6 +102,19 @@ class Graph:
             results=tuple([place[number] for number in flat]),
         )
 
+    def operations(self, number: Scalar) -> int:
+        """Return how many operations a number takes."""
+        found: set[_Value] = {self._number(number)}
+        waiting: list[_Value] = list(found)
+        count = 0
+        while waiting:
+            value = waiting.pop()
+            count += bool(value.operands)
+            new = set(value.operands) - found
+            found |= new
+            waiting += new
+        return count
+
     def _leaf(self, name: str) -> Number:
         if name in self._inputs or name in self._parameters:
             raise InvalidValueError("name", repr(name), "a name that is not taken")

@@ -79,3 +79,8 @@ def test_impossible_limits_are_refused() -> None:
         Polytopes.from_box(np.eye(1), [1.0], [-1.0])
     with pytest.raises(InvalidValueError, match="finite"):
         Polytopes.from_box(np.eye(1), [-np.inf], [1.0])
+
+
+def test_too_many_drives_are_refused_before_any_work() -> None:
+    with pytest.raises(InvalidValueError, match="1,712,304"):
+        Polytopes.from_box(np.zeros((6, 48)), -np.ones(48), np.ones(48))

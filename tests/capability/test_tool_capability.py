@@ -41,6 +41,20 @@ def test_pushes_against_linear_programs(name: str) -> None:
         assert n == 6 or at.greatest_twist(generator.normal(size=6))[k] == 0.0
 
 
+def test_linear_programs_give_what_polytopes_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of drives with too many facets each direction is a linear program; infinite and NaN where polytopes are."""
+    robot = pm.load(_MACHINES / "four_rrr")
+    poses = pm.reachable_poses(robot, 3, np.random.default_rng(2))
+    at = pm.tool_capability(robot, poses, effort=60.0)
+    weak = pm.tool_capability(robot, poses, effort=0.0)
+    directions = [*np.eye(6), -np.eye(6)[0], *np.random.default_rng(1).normal(size=(2, 6))]
+    expected = [[own.greatest_wrench(direction) for direction in directions] for own in (at, weak)]
+    monkeypatch.setattr("pm3dof_pin.capability.tool_capability.MOST_FACETS", 0)
+    found = [[own.greatest_wrench(direction) for direction in directions] for own in (at, weak)]
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+    assert np.isinf(found[0]).any()
+
+
 def test_the_share_left_is_that_of_the_most_loaded_drive() -> None:
     robot = pm.load("hexapod")
     poses = pm.reachable_poses(robot, 6, np.random.default_rng(0))

@@ -209,6 +209,12 @@ def test_loops_bound_drives_without_limits(tmp_path: Path) -> None:
     assert found.limit_shares["reach"] == pytest.approx(1.0)
 
 
+def test_a_robot_of_too_many_operations_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pm3dof_pin.maps.limit_space._MOST_OPERATIONS", 100)
+    with pytest.raises(InvalidValueError, match="operations a Newton step"):
+        robot_space(Robot.load("hexapod"))
+
+
 def test_a_single_coordinate_has_intervals(tmp_path: Path, answer: Callable[..., dict[str, Any]]) -> None:
     """A line with a hole; and a crank that swings until coupler and rocker are stretched, by the law of cosines."""
     line = space(lambda x: (np.abs(x[..., 0]) > 1.0) + 2 * (np.abs(x[..., 0] - 0.3) < 0.1), 1)
