@@ -8,7 +8,7 @@ strains of unit energy as coordinates: eigenvalues of a symmetric matrix, comput
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -19,8 +19,17 @@ from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry, masses
-from pm3dof_pin.programs.closed_motions import closed_motions
-from pm3dof_pin.programs.elimination import DROPPED, Doubt, identity, product, projected, samples
+from pm3dof_pin.programs.closed_motions import all_motions, closed_motions
+from pm3dof_pin.programs.elimination import (
+    DROPPED,
+    Doubt,
+    eliminate,
+    identity,
+    product,
+    projected,
+    samples,
+    solve_upper,
+)
 from pm3dof_pin.programs.graph import Graph, sqrt
 from pm3dof_pin.programs.loops import checked_program
 from pm3dof_pin.programs.masses import Masses
@@ -33,7 +42,68 @@ _NO_MASS = 1e-15
 """Motions of less mass than this, relative to that of all bodies times the unit of length squared, are massless."""
 
 
-def _drive_motions(tree: Tree, doubt: Doubt) -> Objects:
+class _DriveMotions(NamedTuple):
+    """The least motion S = N B of all joints at unit rate of each drive; B is None where it is the identity."""
+
+    motions: Objects  #: N, shape=(nv, m) [m, rad]
+    shares: Objects | None  #: B, shape=(m, u)
+
+    @property
+    def matrix(self) -> Objects:
+        """S, shape=(nv, u)."""
+        return self.motions if self.shares is None else product(self.motions, self.shares)
+
+    def felt(self, forces: Objects) -> Objects:
+        """Return S^T f for forces of all joints, shape=(nv,)."""
+        at_motions = product(self.motions.T, forces[:, None])
+        return (at_motions if self.shares is None else product(self.shares.T, at_motions))[:, 0]
+
+    def inertia(self, masses: Objects) -> Objects:
+        """Return S^T M S for a mass matrix of all joints, shape=(nv, nv)."""
+        at_motions = _symmetric(self.motions, product(masses, self.motions))
+        return at_motions if self.shares is None else _symmetric(self.shares, product(at_motions, self.shares))
+
+
+def _drive_motions(tree: Tree, robot: Robot, doubt: Doubt) -> _DriveMotions:
+    """Record the least motions of all joints at unit rate of each actuated joint.
+
+    Errors as :func:`_own_drive_motions`.
+    """
+    if len(robot.placing_drives) < len(robot.command_coordinates):
+        attempt = Doubt()
+        if (found := _shared_drive_motions(tree, attempt)) is not None:
+            doubt.note_pivot(attempt.pivot)
+            doubt.drop([attempt.dropped])
+            return found
+    return _DriveMotions(_own_drive_motions(tree, doubt), None)
+
+
+def _shared_drive_motions(tree: Tree, doubt: Doubt) -> _DriveMotions | None:
+    """Record the motions of more drives than degrees of freedom; None if joints can move with all drives at rest.
+
+    With all motions N of the loops and their rates at the drives A = Q R, the least motions are N A^+ = N R^-1 Q^T:
+    a number of operations linear in the drives, where relations among these would be eliminated in the third power.
+    """
+    robot = tree.mechanism
+    unit, driven = robot.characteristic_length, robot.actuated_indices.tolist()
+    motions = all_motions(tree, [*robot.passive_indices.tolist(), *driven], unit, doubt)
+    rates = motions[driven]
+    result = eliminate(rates, range(rates.shape[1]), doubt)
+    if result.dropped:
+        return None
+    columns = list(result.columns)
+    triangle = result.pivot_rows[:, columns]
+    lower = triangle.T[::-1, ::-1]  # of which the other triangle is empty, from the end
+    across = solve_upper(lower, rates[:, columns].T[::-1])[::-1]
+    shares = solve_upper(triangle, across)
+    motions = motions[:, columns]
+    motions[tree.slides] = motions[tree.slides] * unit
+    sliding = [k for k, index in enumerate(driven) if index in tree.slides]
+    shares[:, sliding] = shares[:, sliding] * (1.0 / unit)
+    return _DriveMotions(motions, shares)
+
+
+def _own_drive_motions(tree: Tree, doubt: Doubt) -> Objects:
     """Record the least motion of all joints, in scaled numbers, at unit rate of each actuated joint, shape=(nv, u).
 
     Raises:
@@ -62,22 +132,21 @@ def _drive_motions(tree: Tree, doubt: Doubt) -> Objects:
     return rates
 
 
-def _holding(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
+def _holding(tree: Tree, robot: Robot, model: pin.Model, doubt: Doubt) -> Objects:
     """Record the forces of the actuators that hold the weights, shape=(u,) [N, N m]."""
-    return product(_drive_motions(tree, doubt).T, Masses(tree, model).weights[:, None])[:, 0]
+    return _drive_motions(tree, robot, doubt).felt(Masses(tree, model).weights)
 
 
-def _motions(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
+def _motions(tree: Tree, robot: Robot, model: pin.Model, doubt: Doubt) -> Objects:
     """Record the least joint velocities, then the tool's twist, at unit rate of each drive, shape=(nv + 6, u)."""
     del model
-    motions = _drive_motions(tree, doubt)
+    motions = _drive_motions(tree, robot, doubt).matrix
     return np.vstack([motions, product(tree.jacobian(tree.mechanism.frame_name()), motions)])
 
 
-def _inertia(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
+def _inertia(tree: Tree, robot: Robot, model: pin.Model, doubt: Doubt) -> Objects:
     """Record the mass matrix of the actuated joints, shape=(u, u) [kg, kg m, kg m^2]."""
-    motions = _drive_motions(tree, doubt)
-    return _symmetric(motions, product(Masses(tree, model).matrix, motions))
+    return _drive_motions(tree, robot, doubt).inertia(Masses(tree, model).matrix)
 
 
 def _vibrations(roots: Roots, model: pin.Model) -> Objects:
@@ -149,7 +218,7 @@ def holding_program(robot: Robot, poses: Matrix) -> Program:
     """
     graph, doubt = Graph(), Doubt()
     tree = Tree(graph, robot, poses)
-    forces = _holding(tree, robot.model, doubt)
+    forces = _holding(tree, robot, robot.model, doubt)
     return graph.program("holding", {"forces": forces, "pivot": doubt.pivot})
 
 
@@ -223,7 +292,7 @@ def of_drives(
         verify(robot, poses)
         doubt, tree = Doubt(), Tree(Graph(), robot, poses)
         record = {"holding_forces": _holding, "mass_matrix": _inertia, "drive_motions": _motions}[name]
-        return checked_program(name, tree, record(tree, model, doubt), doubt)
+        return checked_program(name, tree, record(tree, robot, model, doubt), doubt)
 
     own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.mass_pattern(model))
     if name == "drive_motions":

@@ -26,6 +26,7 @@ _BATCH = 200_000  # poses at a time
 _AROUND = 0.02  # of a range, beyond its ends
 # of the points otherwise taken along each coordinate: robots that no program solves, serial arms with many solutions
 _SLOW, _OF_ARMS = 0.25, 0.5
+_MOST_JOINTS = 100  # without a program
 _MOST_OPERATIONS = 150_000  # of a Newton step: a workspace takes some hundred thousand of them
 
 
@@ -79,7 +80,7 @@ def robot_space(
 
     Raises:
         InvalidValueError: an unknown coordinate, none or more than three; or a robot that takes more than 150,000
-            operations for a Newton step.
+            operations for a Newton step, or has more than 100 joints and no program.
         ConvergenceError: the loops do not close at home.
     """
     robot.assemble()  # at home, where searches start
@@ -87,6 +88,9 @@ def robot_space(
     if solver is not None and solver.operations > _MOST_OPERATIONS:
         size = f"{robot.name}, of {solver.operations:,} operations a Newton step"
         raise InvalidValueError("robot", size, f"at most {_MOST_OPERATIONS:,} for a workspace")
+    if solver is None and robot.engine == "program" and robot.model.nv > _MOST_JOINTS:
+        size = f"{robot.name}, of {robot.model.nv} joints closed one pose at a time"
+        raise InvalidValueError("robot", size, f"at most {_MOST_JOINTS} for a workspace, or a program")
     chosen = names or _default_names(robot)
     if not 1 <= len(set(chosen)) == len(chosen) <= _MAX_COORDINATES:
         expected = "one, or two for the sections, and optionally one to stack them"

@@ -30,6 +30,9 @@ from pm3dof_pin.programs.walk import Walk
 LARGEST = 200 * 2**20
 """Size limit in bytes, exceeded by up to a twentieth before the least recently used entries are removed."""
 
+MOST_OPERATIONS = 250_000
+"""Longer programs are not compiled, which would take half a minute: the reference computes what they would."""
+
 _unmeasured = LARGEST  # bytes written since the folder was last measured
 
 _SUFFIX = ".program"
@@ -74,10 +77,16 @@ def stored(key: str, make: Callable[[], Program]) -> Program:
 
 
 def compiled(program: Program | Walk) -> llvm.Compiled:
-    """Return the program as machine code, cached or compiled now; ProgramError if LLVM does not compile it.
+    """Return the program as machine code, cached or compiled now.
 
     It is first compiled quickly, and with full optimisation once it has run for enough poses.
+
+    Raises:
+        ProgramError: it has more than :data:`MOST_OPERATIONS`, or LLVM does not compile it.
     """
+    own = program.step if isinstance(program, Walk) else program
+    if (count := len(own.codes)) > MOST_OPERATIONS:
+        raise ProgramError(f"program '{own.name}' has {count:,} operations, more than the {MOST_OPERATIONS:,} compiled")
     with_care = partial(_code, program, optimized=True)
     for optimized in (True, False):
         name = _code_name(program, optimized=optimized)

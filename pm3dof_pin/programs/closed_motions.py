@@ -46,6 +46,22 @@ def closed_motions(
     return ClosedMotions(motions[:, idle:], motions[:, :idle], relations)
 
 
+def all_motions(tree: Tree, order: Sequence[int], unit: float, doubt: Doubt) -> Objects:
+    """Record a basis of the motions that keep the loops closed, by a unit of length [m], shape=(nv, mobility).
+
+    Joints follow whichever others their own loops leave free, so that a platform on many legs takes operations in
+    proportion to these. `order` are the joints' entries of v; of equally sparse ones, the last follow first.
+    """
+    rows = constraint_rows(tree, unit)
+    result = eliminate(rows[:, order], range(len(order)), doubt)
+    free, following = list(result.dropped), list(result.columns)
+    motions = zeros(rows.shape[1], len(free))
+    motions[[order[c] for c in following]] = solve_upper(result.pivot_rows[:, following], -result.pivot_rows[:, free])
+    for k, c in enumerate(free):
+        motions[order[c], k] = 1.0
+    return motions
+
+
 def constraint_rows(tree: Tree, unit: float) -> Objects:
     """Return the constraint Jacobian, linear velocities in units of length, shape=(m, nv)."""
     rows = []

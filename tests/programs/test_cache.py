@@ -52,6 +52,13 @@ def test_a_program_is_compiled_once(folder, compilations):
     assert len(list(folder.iterdir())) == 2
 
 
+def test_long_programs_are_refused_before_they_are_compiled(folder, compilations, monkeypatch):
+    monkeypatch.setattr(cache, "MOST_OPERATIONS", 1)
+    with pytest.raises(ProgramError, match="2 operations"):
+        value(make())
+    assert not compilations
+
+
 def test_many_poses_are_worth_care(folder, compilations, monkeypatch):
     """Optimised code replaces the first, gives the same bits, and is the one loaded later."""
     monkeypatch.setattr(llvm, "MANY_POSES", 100)
