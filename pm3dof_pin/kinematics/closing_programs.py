@@ -41,9 +41,9 @@ class BoundProgram(NamedTuple):
     compiled: Compiled
     parameters: Vector
 
-    def __call__(self, inputs: Matrix, out: Matrix | None = None) -> Matrix:
+    def __call__(self, inputs: Matrix, out: Matrix | None = None, threads: int | None = None) -> Matrix:
         """Evaluate the program at many poses, shape=(n, number of outputs)."""
-        return self.compiled(inputs, self.parameters, out)
+        return self.compiled(inputs, self.parameters, out, threads)
 
     def walk(self, starts: Matrix, targets: Matrix, shortest: float, tolerance: float) -> Walked:
         """Walk from starts to targets, see :meth:`~pm3dof_pin.programs.llvm.Compiled.walk`."""

@@ -264,14 +264,14 @@ class Continuation:
             back = slice(start + known - 1, None, -1)
             self._march_lines(lines[:, back], given[:, back], axis[back], known, threads)
         flat_values = values.reshape(-1, values.shape[-1])
-        solution = self._check(q.reshape(-1, self._nq), flat_values, placed=False)
+        solution = self._check(q.reshape(-1, self._nq), flat_values, placed=False, threads=threads)
         q = solution.q.reshape(q.shape)
         if keep_branch and solution.branch is not None and solution.branch.any():
             q = np.where(_connected(np.reshape(solution.branch == 0, shape), first)[..., None], q, np.nan)
         if not np.isnan(q[..., 0]).any():
             return solution
         self._fill(q, values, keep_branch=keep_branch)
-        return self._check(q.reshape(-1, self._nq), flat_values, placed=False)
+        return self._check(q.reshape(-1, self._nq), flat_values, placed=False, threads=threads)
 
     def _march_lines(self, lines: Array, numbers: Array, axis: Vector, known: int, threads: int | None) -> None:
         """March along lines of a grid, in place, shape=(n, points, nq); the first points are known."""
@@ -320,7 +320,9 @@ class Continuation:
         inputs[:, nq + 2 :] = numbers
         return inputs
 
-    def _check(self, q: Matrix, values: Matrix | None = None, *, placed: bool = True) -> Solution:
+    def _check(
+        self, q: Matrix, values: Matrix | None = None, *, placed: bool = True, threads: int | None = None
+    ) -> Solution:
         """Check configurations, tool values included; unsolved ones become NaN in a copy."""
         n, program = len(q), self._checks.compiled.program
         residual, broken = np.empty(n), np.empty(n, dtype=np.uint32)
@@ -329,7 +331,7 @@ class Continuation:
         room = np.empty((min(n, _AT_ONCE), len(program.results)))
         for first in range(0, n, _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
-            outputs = program.split(self._checks(q[part], room[: len(q[part])]))
+            outputs = program.split(self._checks(q[part], room[: len(q[part])], threads))
             broken[part] = outputs["broken"]
             if branch is not None:
                 branch[part] = outputs["branch"].astype(np.int64) ^ self._home_branch
