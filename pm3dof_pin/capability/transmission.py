@@ -74,12 +74,15 @@ def held_outside(robot: Robot, link: str) -> Robot:
         tied = {coupling.joint, *coupling.joints}
         if tied & names and not tied <= names:
             raise InvalidValueError("subtree", link, f"a link that carries all joints of {coupling.name}")
-    moving = {frame.name for frame in model.frames if frame.parentJoint in carried}
+
+    def moves(frame: str) -> bool:  # by index: a joint may have the name of a link
+        return model.frames[robot.frame_id(frame)].parentJoint in carried
+
     reduced = _reduced(model, held, np.array(robot.home.q))
     commands = tuple(command for command in robot.commands if command.joint in names)
     return robot.replace(
         model=reduced,
-        closures=[loop for loop in robot.closures if {loop.frame_a, loop.frame_b} & moving],
+        closures=[loop for loop in robot.closures if moves(loop.frame_a) or moves(loop.frame_b)],
         couplings=tuple(coupling for coupling in robot.couplings if coupling.joint in names),
         actuated_joints=tuple(name for name in robot.actuated_joints if name in names),
         motion_coordinates=(),
@@ -87,7 +90,7 @@ def held_outside(robot: Robot, link: str) -> Robot:
         coordinates=tuple(c for c in robot.declared_coordinates if c.joint is None or c.joint in names),
         limit_groups=(),
         springs=(),
-        tool_frame=robot.tool_frame if robot.tool_frame in moving else None,
+        tool_frame=robot.tool_frame if robot.tool_frame is not None and moves(robot.tool_frame) else None,
     )
 
 

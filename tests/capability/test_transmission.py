@@ -132,6 +132,31 @@ def test_one_leg_of_a_walker_held_outside() -> None:
     assert part.home.closure_residual < 1e-9
 
 
+_LINK = """<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+</inertial></link>"""
+_HINGE = """<joint name="{0}" type="continuous"><origin xyz="{3}"/><parent link="{1}"/><child link="{2}"/>
+<axis xyz="0 1 0"/></joint>"""
+
+
+def test_what_a_link_carries_where_a_joint_has_its_name(tmp_path: Path) -> None:
+    """The joint `leg` is the knee below the link `leg`, which a prop holds from outside."""
+    joints = [
+        ("hip", "base", "leg", "0 0 0"),
+        ("leg", "leg", "shin", "0 0 -0.4"),
+        ("ankle", "shin", "foot", "0 0 -0.4"),
+        ("prop_joint", "base", "prop", "0.2 0 0"),
+    ]
+    links = "".join(_LINK.format(name) for name in ("base", "leg", "shin", "foot", "prop"))
+    text = f'<robot name="r">{links}{"".join(_HINGE.format(*joint) for joint in joints)}</robot>'
+    (tmp_path / "r.urdf").write_text(text, encoding="utf-8")
+    closures = "closed_loop: [[leg, prop]]\ntype: [distance]\nclosure_lengths: [0.2]\nname_mot: [leg, ankle]\n"
+    (tmp_path / "r.closures.yaml").write_text(closures, encoding="utf-8")
+    part = held_outside(pm.load(tmp_path / "r.urdf"), "leg")
+    assert list(part.model.names)[1:] == ["leg", "ankle"]
+    assert part.closures == ()
+    assert part.actuated_joints == ("leg", "ankle")
+
+
 def test_what_does_not_work_is_named(ankle: Robot) -> None:
     at = transmission(ankle, [0.0, 0.0], effort={"left_motor": 40.0, "right_motor": 0.0})
     with pytest.raises(InvalidValueError, match=r"right_motor.*zero"):

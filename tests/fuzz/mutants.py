@@ -29,6 +29,7 @@ from typing import Any
 SECONDS = 20
 ROBOTS = Path(__file__).parents[2] / "robots"
 MACHINES = Path(__file__).parents[1] / "machines"
+DIALECTS = Path(__file__).parent / "dialects"
 
 _NUMBER = re.compile(r"(?<![\w.])-?\d+\.?\d*(?:[eE][+-]?\d+)?(?![\w.])")
 _WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]{2,}")
@@ -477,6 +478,9 @@ def inputs(calibrations: Sequence[Path] = (), samples: Path | None = None) -> di
             [robot / "sdf" for robot in robots], "*.sdf", lambda folder: _read_robot(next(folder.glob("*.sdf")))
         ),
         "loops": Input([robot / "drake" for robot in robots], "*.urdf", read_urdf),
+        "urdf_plus": Input([DIALECTS / "urdf_plus"], "*.urdf", read_urdf),
+        "robot_yaml": Input([DIALECTS / "robot_yaml"], "robot.*", lambda folder: _read_robot(folder / "robot.yaml")),
+        "loop_closures": Input([DIALECTS / "loop_closures"], "loop_closures.yaml", read_urdf),
         "xacro": Input(robots, "xacro/**/*", lambda folder: _read_robot(next(folder.glob("xacro/*.urdf.xacro")))),
         "measurements": Input(calibrations, "measurements.csv", _read_measurements),
         "plan": Input(calibrations, "plan.csv", _read_plan),

@@ -13,6 +13,7 @@ import pytest
 SCRIPT = Path(__file__).with_name("mutants.py")
 OF_SAMPLES = ("export", "columns", "join", "klipper", "gcode", "acceptance", "history")
 KINDS = ("urdf", "closures", "springs", "srdf", "errors", "parameters", "mjcf", "sdf", "loops")
+DIALECTS = ("urdf_plus", "robot_yaml", "loop_closures")
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def mutants() -> ModuleType:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, *DIALECTS])
 def test_mutants_are_refused_or_sound(kind: str, mutants: ModuleType, tmp_path: Path) -> None:
     damaged = mutants.inputs()[kind]
     for seed in range(1000, 1004):
