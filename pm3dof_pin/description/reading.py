@@ -19,6 +19,7 @@ from pm3dof_pin.description.readers.sdf import read_sdf
 from pm3dof_pin.description.readers.urdf import read_urdf
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.description.xml_file import children, read_xml
+from pm3dof_pin.description.yaml_file import naming_lines
 
 _logger = logging.getLogger(__name__)
 
@@ -36,10 +37,11 @@ def read_description(files: RobotFiles, *, lenient: bool = False) -> Description
         JointNotFoundError: the closures file names a joint that the tree does not have.
     """
     description = READERS[files.format](files, lenient)
-    if files.closures is not None and files.closures.name == loop_closures.FILE_NAME:
-        description = loop_closures.with_loop_closures(description, files.closures)
-    elif files.closures is not None:
-        description = _completed(description, read_closures(files.closures))
+    with naming_lines():
+        if files.closures is not None and files.closures.name == loop_closures.FILE_NAME:
+            description = loop_closures.with_loop_closures(description, files.closures)
+        elif files.closures is not None:
+            description = _completed(description, read_closures(files.closures))
     if description.closures and not description.actuated_joints and description.drives:
         driven = dict.fromkeys(drive.joint for drive in description.drives)
         description = replace(description, actuated_joints=tuple(driven))

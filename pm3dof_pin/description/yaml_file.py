@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,39 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
     if _size(data, {}) > _MAX_ENTRIES:
         raise DescriptionError(path, "file", f"expected at most {_MAX_ENTRIES} entries, aliases expanded")
     return data
+
+
+@contextmanager
+def naming_lines() -> Iterator[None]:
+    """Add the line to errors that name an entry of a YAML file and no line."""
+    try:
+        yield
+    except DescriptionError as error:
+        line = None if error.line else _line_of(error.path, error.element)
+        if line is None:
+            raise
+        raise DescriptionError(error.path, error.element, error.expected, line) from error
+
+
+def _line_of(path: Path, element: str) -> int | None:
+    """Return the line of an entry such as `springs[2].matrix`, or of the one around it; None if it is not found."""
+    try:
+        node = yaml.compose(read_text(path), Loader=_LOADER)
+    except (DescriptionError, yaml.YAMLError):
+        return None
+    line = None
+    for word in re.findall(r"[^.\[\]]+", element):
+        if isinstance(node, yaml.MappingNode):
+            found = [(key, value) for key, value in node.value if getattr(key, "value", None) == word]
+            if not found:
+                break
+            line, node = found[-1][0].start_mark.line + 1, found[-1][1]
+        elif isinstance(node, yaml.SequenceNode) and word.isdigit() and int(word) < len(node.value):
+            node = node.value[int(word)]
+            line = node.start_mark.line + 1
+        else:
+            break
+    return line
 
 
 def _check_nesting(path: Path, text: str) -> None:

@@ -213,6 +213,32 @@ def test_a_joint_that_others_follow_by_a_broken_ratio_counts_its_turns(write_rob
     assert whole.model.nq == (2 if kind == "revolute" else 1) + nq
 
 
+@pytest.mark.parametrize(
+    ("entry", "line", "place"),
+    [
+        (
+            "coordinates:\n  - name: z\n    joint: elbow\n    unit: rad\n    scal: 2\n",
+            5,
+            r"coordinates\[0\].scal: unknown",
+        ),
+        (
+            "commands:\n  - {name: u, joint: elbow, unit: rad}\n  - {name: v, joint: elbow, scale: x}\n",
+            3,
+            r"commands\[1\]",
+        ),
+        ("tool_motions: [x,\n  up]\n", 2, r"tool_motions\[1\]"),
+        ("no_such: 1\n", 1, "no_such: unknown key"),
+    ],
+)
+def test_a_wrong_entry_of_the_closures_file_is_named_with_its_line(
+    write_robot: Writer, entry: str, line: int, place: str
+) -> None:
+    path = write_robot(ARM, entry + NO_CLOSURES)
+    with pytest.raises(DescriptionError, match=rf"closures.yaml, line {line}: {place}") as caught:
+        Robot.load(path)
+    assert caught.value.line == line
+
+
 @pytest.mark.parametrize("limit", ["", '<limit effort="1" velocity="1"/>'])
 def test_a_joint_without_limits_is_unlimited(write_robot: Writer, limit: str) -> None:
     described = '<limit lower="-1" upper="2" effort="1" velocity="1"/>'
