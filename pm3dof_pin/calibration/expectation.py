@@ -126,6 +126,9 @@ class Expectation:
     #: interval of this machine's tip error, root mean square over the workspace, with the same probability [m]; None
     #: for a learning method, and for a machine that its parameters do not describe
     interval: tuple[float, float] | None
+    #: the expected tip error if residuals beyond the noise are the instrument's, not the machine's, root mean square
+    #: over the workspace [m]; None where they are not much larger than the noise
+    if_noise_is_larger: float | None
     budget: Mapping[str, float]  #: contribution of each source to that error, root mean square over the workspace [m]
     systematic: Sequence[Systematic]  #: drift and hysteresis, where rows have times or directions
     repeated: Repeatability | None  #: from poses visited several times; None if there are none
@@ -158,6 +161,14 @@ class Expectation:
                 "; most of the uncertainty was not measured and is the same at all poses, so for 95 % of machines such "
                 "bounds hold nearly everywhere, and for the others hardly anywhere"
             )
+        quiet = None
+        if not calibration.scatters and budget["unmodelled"] > 0.0:
+            factor = calibration.identification.noise_factor
+            quiet = float(np.sqrt(max(0.0, total**2 - budget["unmodelled"] ** 2)))
+            expect += (
+                f"; or of {1e6 * quiet:.0f} µm if it is the sigmas of the measurements that are {factor:.1f} times too "
+                "small, and not the machine that scatters, which single measurements cannot tell apart"
+            )
         errors, source = (held_out, "held-out poses") if validation is None else (validation, "the validation file")
         if errors is not None:
             before, after = _rms(errors.before), _rms(errors.after)
@@ -171,6 +182,7 @@ class Expectation:
             _advice(calibration, validation, budget),
             bound,
             interval,
+            quiet,
             budget,
             Systematic.all_from_fit(calibration),
             repeated,

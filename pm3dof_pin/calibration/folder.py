@@ -38,6 +38,7 @@ from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_bytes, read_text, replace_directory, write_text_atomically
 from pm3dof_pin.measuring.measurement_file import write_measurements
+from pm3dof_pin.measuring.measurements import Measurements
 
 _SUMMARY = "calibration.yaml"
 _COMPENSATION = "compensation.json"
@@ -181,6 +182,8 @@ def _expectation_summary(expectation: Expectation) -> dict[str, Any]:
         "tip_error_rms_95_percent_interval_m": None if expectation.interval is None else list(expectation.interval),
         "uncertainty_budget_m": dict(expectation.budget),
     }
+    if expectation.if_noise_is_larger is not None:
+        summary["tip_error_rms_if_sigmas_are_too_small_m"] = expectation.if_noise_is_larger
     for found in expectation.systematic:
         summary[found.kind] = {"tip_error_m": found.tip, "tip_sigma_m": found.tip_sigma, "more_than_chance": found.sure}
     if (repeated := expectation.repeated) is not None:
@@ -206,6 +209,16 @@ def _held_out_summary(errors: HeldOut, excess: str) -> dict[str, Any]:
     if errors.excess_interval is not None and excess in named:
         named[excess]["rms_95_percent_interval"] = list(errors.excess_interval)
     return {"poses": len(errors.after)} | named | {"within_95_percent_bound": errors.within}
+
+
+def error_in_words(measurements: Measurements) -> str:
+    """Name the error of a pose that measurements show."""
+    seen = np.asarray(measurements.seen[:, : measurements.tool_columns].any(axis=0))
+    if measurements.distances is not None or measurements.datums:
+        return "error along what was seen"
+    if seen[3:].any() or (seen.all() and len(np.unique(measurements.target_numbers)) > 1):
+        return "tip error"
+    return "position error" if seen.all() else f"error along {', '.join(np.array(['x', 'y', 'z'])[seen[:3]])}"
 
 
 def accuracy_rows(errors: Mapping[str, Any]) -> dict[str, list[str]]:
@@ -325,6 +338,7 @@ def _measurements_summary(calibration: Fit) -> dict[str, Any]:
         "count": len(measurements),
         "poses": int(measurements.pose_numbers.max()) + 1,
         "measured": measurements.measured,
+        "error_seen": error_in_words(measurements),
         "conditions": list(measurements.conditions),
         "median_sigma_m_rad": [
             float(np.median(column[np.isfinite(column)])) if np.isfinite(column).any() else None

@@ -207,7 +207,10 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
     predicted = compensation.deviations(nominal, visits.conditions)
     true = pseudo_errors(measurements, nominal, eta)
     best = pseudo_errors(measurements, nominal, eta, seen=_FLOOR_SEEN).left if true.whole else true.left
-    reached = compensation.errors.robot.forward(nominal.commands + predicted, guess=nominal.q)
+    reached = compensation.errors.robot.forward(nominal.commands + predicted, guess=nominal.q, on_failure="nan")
+    if not reached.solved.all():  # near a singular pose no command corrects, and the uncorrected one remains
+        kept = np.where(reached.solved[:, None], predicted, 0.0)
+        reached = compensation.errors.robot.forward(nominal.commands + kept, guess=nominal.q)
     errors = np.stack([true.before, seen_errors(measurements, reached, eta).errors, best], axis=1)
     noise = np.sqrt(np.einsum("nii->n", true.seen.covariances))
     moved = datum_motions(nominal) * tip_weights(eta)[:, None]

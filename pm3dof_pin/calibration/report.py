@@ -13,7 +13,7 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
 
 from pm3dof_pin.calibration.elastic_term import STIFFNESS_SIGMA
 from pm3dof_pin.calibration.fit import Fit
-from pm3dof_pin.calibration.folder import ACCURACIES, accuracy_rows
+from pm3dof_pin.calibration.folder import ACCURACIES, accuracy_rows, error_in_words
 from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
@@ -165,7 +165,8 @@ def _accuracy(summary: Mapping[str, Any], kind: str, picture: Figure | None, tit
         "Corrected minus best commands is the expected difference of each joint. E, the energy of the pose error, adds "
         "position and weighted rotation instead of their squares; the best commands are best for the tip error.</p>",
         html_table(
-            ("tip error [µm]", "mean", "95 %", "max"), [[name, *row] for name, row in accuracy_rows(errors).items()]
+            (f"{summary['measurements']['error_seen']} [µm]", "mean", "95 %", "max"),
+            [[name, *row] for name, row in accuracy_rows(errors).items()],
         ),
         interval,
         html_image(picture, "share of held-out poses below a tip error"),
@@ -233,10 +234,10 @@ def calibration_pictures(
     validation: HeldOut | None = None,
 ) -> dict[str, Figure]:
     """Return the pictures of a calibration's report, by file name."""
-    found = calibration.identification
-    pictures = {} if validation is None else {"tip_error_validation": _held_out_picture(validation)}
+    found, shown = calibration.identification, error_in_words(calibration.measurements)
+    pictures = {} if validation is None else {"tip_error_validation": _held_out_picture(validation, shown)}
     if held_out is not None:
-        pictures["tip_error_held_out"] = _held_out_picture(held_out)
+        pictures["tip_error_held_out"] = _held_out_picture(held_out, shown)
     pictures["residuals"] = _residuals_picture(found)
     if maps is not None:
         pictures["workspace"] = _workspace_picture(maps)
@@ -245,8 +246,8 @@ def calibration_pictures(
     return pictures
 
 
-def _held_out_picture(held_out: HeldOut) -> Figure:
-    """Draw the share of held-out poses with tip errors below a value: before, after, floor, noise."""
+def _held_out_picture(held_out: HeldOut, shown: str) -> Figure:
+    """Draw the share of held-out poses with errors, as shown, below a value: before, after, floor, noise."""
     curves = (
         ("as described", held_out.before, _BEFORE, "-"),
         ("corrected", held_out.after, _AFTER, "-"),
@@ -265,7 +266,7 @@ def _held_out_picture(held_out: HeldOut) -> Figure:
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
         axes.minorticks_off()
-        axes.set_xlabel("tip error [µm]")
+        axes.set_xlabel(f"{shown} [µm]")
         axes.set_ylabel("held-out poses below [%]")
         axes.set_ylim(0.0, 102.0)
         figure.legend(loc="outside upper center", ncols=4)

@@ -196,10 +196,11 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
             lines.append(f"{kind} moved the tool by {size:.0f} ± {sigma:.0f} µm (tip error, rms)")
     if summary.get("validation") is None and summary.get("held_out") is None:
         return [*lines, "too few poses for a cross-validation"]
+    shown = measured["error_seen"]
     for kind, words in (("validation", "poses of the validation"), ("held_out", "held-out poses")):
         if kind in summary:
             rows = [[text, *row] for text, row in accuracy_rows(summary[kind]).items() if not text.startswith("E of")]
-            lines += table_lines([f"{words}, tip error [µm]", "mean", "95 %", "max"], rows)
+            lines += table_lines([f"{words}, {shown} [µm]", "mean", "95 %", "max"], rows)
             for key, text in ACCURACIES.items():
                 if (between := summary[kind].get(key, {}).get("rms_95_percent_interval")) is not None:
                     low, high = (1e6 * value for value in between)

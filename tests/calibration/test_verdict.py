@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.caution import HARM, Gain
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.expectation import Expectation, Systematic
@@ -21,6 +22,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurement_file import write_measurements
@@ -161,3 +163,24 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     assert 0.1 < found.part_corrected < 0.95
     assert not any("worse than uncorrected ones" in reason for reason in refusals(found, None))
     assert fit(measured, tripod_errors, Options("lm")).chance_of_harm < 1e-6
+
+
+def test_sigmas_that_are_too_small_are_one_of_two_explanations() -> None:
+    """With three times the noise declared, the tip error is that of a larger noise, and said as an alternative."""
+    errors, generator = GeometricErrors.load("hexapod"), np.random.default_rng(2)
+    machine = errors.apply(errors.sample(generator))
+    poses = reachable_poses(errors.robot, 40, generator)
+    reached = np.array(machine.forward(poses.commands, guess=poses.q).transforms)
+    noise = 3.0 * generator.standard_normal((len(poses), 6)) * Instrument().sigmas
+    reached[:, :3, 3] += noise[:, :3]
+    reached[:, :3, :3] = Rotation.from_rotvec(noise[:, 3:]).as_matrix() @ reached[:, :3, :3]
+    found = calibrate(Measurements.from_poses(poses.commands, reached), errors, "lm")
+    wanted = reachable_poses(errors.robot, 100, generator)
+    answer = found.compensate(wanted)
+    left = tip_error(pose_difference(wanted.transforms, machine.forward(answer.commands, guess=wanted.q).transforms))
+    actual = float(np.sqrt(np.mean(left**2)))
+    said = found.expectation.if_noise_is_larger
+    assert said is not None
+    assert 0.6 * actual < said < 1.8 * actual  # without it, 3 to 5 times
+    assert found.summary()["tip_error_rms_if_sigmas_are_too_small_m"] == said
+    assert "times too small" in found.expectation.text

@@ -1,0 +1,47 @@
+"""Plans of robots without an error file: every machine is assembled at every pose, and the measurements calibrate."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pm3dof_pin as pm
+from pm3dof_pin.calibration.measurement_plan import OUT_OF_TOLERANCE, plan_measurements
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.errors.sensitivity import closable
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "studies" / "small_robots.py"
+
+
+@pytest.fixture(scope="module")
+def robots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    spec = importlib.util.spec_from_file_location("small_robots", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    found: dict[str, Path] = script.robots(tmp_path_factory.mktemp("robots"))
+    assert len(found) >= 24
+    return found
+
+
+@pytest.mark.parametrize("name", ["3-RRS", "five-bar"])
+def test_plan_measure_calibrate(robots: dict[str, Path], name: str) -> None:
+    everything, generator = pm.GeometricErrors.load(robots[name]), np.random.default_rng(5)
+    errors = closable(everything)
+    plan = plan_measurements(errors, candidates=300)
+    assert plan.can_be_checked
+    poses = plan.poses
+    for _ in range(40):
+        crooked = errors.apply(OUT_OF_TOLERANCE * errors.sample(generator))
+        assert crooked.forward(poses.commands, guess=poses.q, on_failure="nan").solved.all()
+    machine = errors.apply(errors.sample(generator))
+    reached = machine.forward(poses.commands, guess=poses.q).transforms
+    noisy = np.array(reached)
+    noisy[:, :3, 3] += 7.5e-6 * generator.standard_normal((len(noisy), 3))
+    calibration = pm.calibrate(pm.Measurements.from_poses(poses.commands, noisy), everything, "lm")  # not refused
+    model = calibration.compensation.model.forward(poses.commands, guess=poses.q).transforms
+    assert np.median(tip_error(pose_difference(reached, model))) < 5e-5  # of 300 to 900 µm
