@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
@@ -26,6 +27,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.dynamics.damping import LOSS_FACTOR, Damping
 from pm3dof_pin.dynamics.dynamic_stiffness import dynamic_stiffness
 from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
+from pm3dof_pin.dynamics.servo_loop import GAIN_MARGIN, ServoLimit, servo_limit
 from pm3dof_pin.dynamics.stability_lobes import Cutting, StabilityLobes, stability_lobes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
@@ -97,8 +99,9 @@ def receptance(
     """Compute how far points move per oscillating force at a pose: angles in degrees, lengths in metres.
 
     For each pair of points: stiffness at rest, least dynamic stiffness and its frequency, most negative real part, and
-    the modes that contribute. With --cutting, the depth below which turning or milling does not chatter. Springs
-    without a declared loss factor have that of --loss-factor, an assumption.
+    the modes that contribute; for each drive with a spring, the gain at which its position loop becomes unstable. With
+    --cutting, the depth below which turning or milling does not chatter. Springs without a declared loss factor have
+    that of --loss-factor, an assumption.
     """
     machine = which.load()
     model, payloads = ElasticModel(machine), payloads_of(machine, payload)
@@ -128,6 +131,20 @@ def receptance(
         "receptances": results,
     }
     lines = _lines(results)
+    # a spring that is itself a servo says nothing of the structure behind one
+    driven = {spring.joint for spring in model.springs if isinstance(spring, JointSpring)} - set(damping.bandwidths)
+    limits = [servo_limit(system, name) for name in machine.actuated_joints if name in driven]
+    if limits:
+        result["servo"] = [
+            {
+                "drive": limit.drive,
+                "critical_gain_per_s": limit.critical_gain,
+                "critical_frequency_Hz": limit.critical_frequency,
+                "bandwidth_Hz": limit.bandwidth,
+            }
+            for limit in limits
+        ]
+        lines += ["", *_servo_lines(limits)]
     lobes = None
     if cut is not None:
         lobes = stability_lobes(system, cut, turns)
@@ -141,6 +158,15 @@ def receptance(
     for file in files:
         message(f"wrote {file}")
     print_at_pose(pose, result, lines, as_json=as_json)
+
+
+def _servo_lines(limits: Sequence[ServoLimit]) -> list[str]:
+    rows = [
+        [limit.drive, f"{limit.critical_gain:.1f}", f"{limit.critical_frequency:.1f}", f"{limit.bandwidth:.1f}"]
+        for limit in limits
+    ]
+    header = ["position loop", "unstable from K_v [1/s]", "at [Hz]", f"bandwidth, margin {GAIN_MARGIN:g} [Hz]"]
+    return table_lines(header, rows)
 
 
 def _damping(robot: Robot, model: ElasticModel, loss_factor: str | None, bandwidth: str | None) -> Damping:
