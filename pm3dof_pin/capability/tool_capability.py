@@ -28,7 +28,7 @@ from pm3dof_pin.kinematics.robot import Poses, Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.tolerances import ROUNDING
-from pm3dof_pin.typing import Array, Matrix, Vector
+from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 _REACHED = 1e-9  # relative part of a direction that the tool cannot move in, up to which it counts as rounding
 
@@ -105,14 +105,20 @@ class ToolCapability:
         """
         _require_known("speed", self.drives, self.speed)
         wanted = np.broadcast_to(np.asarray(directions, dtype=float), (*self.tool_rates.shape[:-2], 6))
-        known = np.isfinite(self.tool_rates).all(axis=(-2, -1))
+        known, inverse = self._solved_inverse
         found = np.full(known.shape, np.nan)
-        rates = np.einsum("...nt,...t->...n", np.linalg.pinv(self.tool_rates[known]), wanted[known])
+        rates = np.einsum("...nt,...t->...n", inverse, wanted[known])
         left = np.linalg.norm(np.einsum("...tn,...n->...t", self.tool_rates[known], rates) - wanted[known], axis=-1)
         moves = Polytopes.from_inequalities(self.drive_rates[known], -self.speed, self.speed).extent(rates)
         possible = left <= _REACHED * np.linalg.norm(wanted[known], axis=-1)
         found[known] = np.where(possible, moves, 0.0)
         return found
+
+    @cached_property
+    def _solved_inverse(self) -> tuple[Mask, Array]:
+        """Where poses are solved, shape=(...), and the pseudoinverses of T there, shape=(k, n, 6)."""
+        known = np.asarray(np.isfinite(self.tool_rates).all(axis=(-2, -1)))
+        return known, np.asarray(np.linalg.pinv(self.tool_rates[known]))
 
     def effort_left(self, wrenches: ArrayLike) -> Array:
         """Return the share of the drives' efforts that is left under wrenches, the least of them, shape=(...).

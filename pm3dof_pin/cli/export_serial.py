@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -27,6 +27,14 @@ def export_serial(
     degree: Annotated[
         int | None, typer.Option(metavar="N", help="Also fit the drives' positions by polynomials of this degree.")
     ] = None,
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            metavar="A,B",
+            help="Also write the mapping between joints and drives as functions: numpy, jax, torch, casadi, c.",
+        ),
+    ] = "",
     out: Annotated[Path, typer.Option("--out", help="Output folder, created if missing.")] = Path("results/serial"),
     meshes: Annotated[bool, typer.Option(help="Include meshes and their files.")] = True,
     as_json: Json = False,
@@ -35,16 +43,22 @@ def export_serial(
 
     Limits, effort, velocity, armature, damping, friction and gains of the joints, of POSE (angles in degrees, lengths
     in metres) or over the box of --over, each with its error over the box in a comment, and in a JSON file. Joints in
-    loops other than those of --joints are fixed at home. The closed robot is written next to it as MJCF.
+    loops other than those of --joints are fixed at home. The closed robot is written next to it as MJCF, and with --to
+    the mapping as in `pm3dof export function`.
     """
     from pm3dof_pin.capability.mapping_fit import fit_mapping
     from pm3dof_pin.capability.serial_constants import serial_constants
+    from pm3dof_pin.export.functions import Quantity, Target, export_functions
     from pm3dof_pin.export.serial import constant_lines, serial_entries, serial_tree, write_serial
     from pm3dof_pin.kinematics.robot import Robot
 
     given = [name for name, value in (("--at", at), ("--worst", worst), ("--least-wrong", least_wrong)) if value]
     if len(given) > 1:
         raise typer.BadParameter(f"expected one of {' and '.join(given)}")
+    libraries: list[Any] = list(dict.fromkeys(name.strip() for name in to.split(",") if name.strip()))
+    known = [name for choice in get_args(Target) for name in (get_args(choice) or (choice,))]
+    if unknown := [name for name in libraries if name not in known]:
+        raise typer.BadParameter(f"--to {unknown[0]}: expected some of {', '.join(known)}")
     robot = which.load()
     part = options.part(robot)
     tree = serial_tree(robot, part)
@@ -59,5 +73,8 @@ def export_serial(
     )
     fit = None if degree is None else fit_mapping(box, degree)
     files = write_serial(robot, tree, constants, out, fit=fit, meshes=meshes)
+    for library in libraries:
+        of: list[Quantity] = ["commands"] if library == "c" else ["commands", "coordinates", "jacobian"]
+        files += export_functions(part, of, library, out / "functions")
     result = {"robot": robot.name} | serial_entries(constants, fit)
     print_result(result, constant_lines(constants, fit), as_json=as_json, files=files)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -139,6 +140,23 @@ def test_polynomials_of_the_mapping() -> None:
     assert (errors < 1.05 * fit.worst).all()
     with pytest.raises(InvalidValueError, match="degree"):
         fit_mapping(box, 0)
+
+
+def test_the_mapping_is_written_as_functions(answer: Answer, run: Answer, tmp_path: Path) -> None:
+    """By difference quotients of the functions: cranks of 35 mm, balls 55 mm behind and 45 mm beside the axes."""
+    answer("export", "serial", *_ANKLE, *_BOX, "--to", "numpy,c", "--out", str(tmp_path))
+    names = {file.name for file in (tmp_path / "functions").iterdir()}
+    assert names == {"ankle_numpy.py", "ankle.c", "ankle.h", "ankle_parameters.h"}
+    functions = runpy.run_path(str(tmp_path / "functions" / "ankle_numpy.py"))
+    steps = 1e-6 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    moved = functions["commands"](steps)
+    rates = np.stack([moved[0] - moved[1], moved[2] - moved[3]], axis=-1) / 2e-6
+    expected = np.array([[55.0, 45.0], [55.0, -45.0]]) / 35.0
+    np.testing.assert_allclose(rates, expected, rtol=1e-8)
+    np.testing.assert_allclose(functions["jacobian"](np.zeros(2)), expected, rtol=1e-12)
+    wrong = run("export", "serial", *_ANKLE, "--to", "fortran", "--out", str(tmp_path / "other"))
+    assert wrong.returncode == 2
+    assert "fortran" in wrong.stderr
 
 
 def test_what_does_not_work_is_named(run: Answer, tmp_path: Path) -> None:
