@@ -527,6 +527,7 @@ def _work(name: str, seeds: range, calibrations: list[Path], keep: Path | None, 
     logging.disable(logging.CRITICAL)
     samples = write_samples(Path(tempfile.mkdtemp(prefix="samples_")))
     kind = inputs(calibrations, samples)[name]
+    kind.read(kind.sources[0])  # undamaged it is accepted, and what is imported does not count as a hang
     for seed in seeds:
         print(json.dumps({"begins": seed}), flush=True)
         with tempfile.TemporaryDirectory(prefix="mutant_") as above:
