@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -114,24 +114,31 @@ def read_program(
     Raises:
         GCodeError: a line is not understood.
     """
-    lines = _words(Path(path), text)
-    letters = frozenset(letter for _, words in lines for letter, _ in words if letter in _AXES)
+    letters = frozenset(letter for _, words in _words(Path(path), text) for letter, _ in words if letter in _AXES)
     known = {54: np.eye(4), **systems, MACHINE: np.eye(4)}
     interpreter = _Interpreter(Path(path), known, home, letters, has_tool=has_tool)
-    for line, words in lines:
+    for line, words in _words(Path(path), text):
         if not interpreter.execute(line, words):
             break
     return GCodeProgram(interpreter.moves, letters)
 
 
-def _words(path: Path, text: str) -> list[tuple[int, list[tuple[str, float]]]]:
-    """Return the words of each line that has some."""
-    found = []
+def _words(path: Path, text: str) -> Iterator[tuple[int, list[tuple[str, float]]]]:
+    """Yield the number and the words of each line that has some; a program that begins with % ends at the next."""
+    percents, is_begun = 0, False
     for number, raw in enumerate(text.splitlines(), start=1):
         code = _COMMENT.sub("", raw).partition(";")[0].upper()
         code = "".join(code.split())
-        if not code or code == "%":
+        if not code:
             continue
+        if code == "%":
+            percents += 1
+            if percents == 1 and is_begun:
+                raise GCodeError(path, number, "a % after other lines: expected it in the first, or none")
+            if percents == 2:
+                return
+            continue
+        is_begun = True
         words, place = [], 0
         while match := _WORD.match(code, place):
             words.append((match[1], float(match[2])))
@@ -139,8 +146,7 @@ def _words(path: Path, text: str) -> list[tuple[int, list[tuple[str, float]]]]:
         if place < len(code):
             what = "an unclosed comment" if "(" in code[place:] else f"'{code[place:][:16]}'"
             raise GCodeError(path, number, f"{what} is not understood; expected words such as G1, X10.5 or F600")
-        found.append((number, words))
-    return found
+        yield number, words
 
 
 class _Interpreter:

@@ -107,6 +107,35 @@ def test_every_word_moves_as_in_linuxcnc(tmp_path: Path) -> None:
     assert checked == len(program.moves) == 19
 
 
+@pytest.mark.skipif(RS274 is None, reason="LinuxCNC is not installed")
+@pytest.mark.parametrize(
+    ("text", "refused"),
+    [
+        ("%\nG21 G1 X1 F1\n%\nG1 X2\n", None),
+        ("n5 G21 g 1 x 1 . 5 (half way) y-.5 f1 ; on\nG91 X+5\nM30\nX7\n", None),
+        ("G20\nG18 G2 X1 Z1 I1 K0 P2 F1\n", None),
+        ("G21 (half\nG0 X1\n", 1),
+        ("G21\n%\nG0 X1\n", 2),
+        ("G21 G0 X1 X2\n", 1),
+        ("G21 G93 G1 X1 F2\nX2\n", 2),
+    ],
+)
+def test_forms_of_lines_are_taken_and_refused_as_by_linuxcnc(text: str, refused: int | None, tmp_path: Path) -> None:
+    theirs = [numbers for name, numbers in by_linuxcnc(text, tmp_path) if name not in ("USE_LENGTH_UNITS", "DWELL")]
+    if refused is not None:
+        with pytest.raises(GCodeError) as caught:
+            interpreted(text)
+        assert caught.value.line == refused
+        assert len(theirs) == refused - 1 - ("%" in text)  # it stops there too
+        return
+    moves = interpreted(text).moves
+    assert len(moves) == len(theirs)
+    for move, numbers in zip(moves, theirs, strict=True):
+        unit = 25.4 if "G20" in text else 1.0
+        place = [numbers[1], numbers[5], numbers[0]] if move.arc else numbers[:3]  # of an arc in G18: z, x and y
+        np.testing.assert_allclose(1e3 * np.array(move.end[:3]), unit * np.array(place), atol=2e-3)
+
+
 def test_arcs_lie_on_their_circles() -> None:
     program = interpreted("G21 F60\nG0 X10\nG3 X0 Y10 I-10 J0 Z2\nG2 X10 Y0 R10\nG2 I-10\n")
     path = from_moves(program.moves, program.letters, {})
@@ -164,6 +193,13 @@ def test_placed_systems_turn_positions_and_the_tool() -> None:
         ("G1 X1 F-5", "negative"),
         ("G20 F5", "which changes its unit"),
         ("O100 call", "is not understood"),
+        ("/G0 X1", "'/G0X1' is not understood"),
+        ("#1=5", "'#1=5' is not understood"),
+        ("G41 D1", "G41 is not understood"),
+        ("G92 X1", "G92 is not understood"),
+        ("G10 L2 P1 X1", "G10 is not understood"),
+        ("G81 Z-1 R1 F1", "G81 is not understood"),
+        ("%", "a % after other lines"),
     ],
 )
 def test_what_is_not_understood_is_refused_by_line(line: str, words: str) -> None:
