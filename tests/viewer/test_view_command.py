@@ -201,6 +201,7 @@ def test_the_page_it_writes(run: Run, page: Any, mechanism: Robot, tripod: Tripo
         "translation": True,
         "rotation": True,
         "forces": True,
+        "load": True,
         "legs": True,
         "frames": False,
         "workspace": False,
