@@ -481,10 +481,10 @@ def _coordinate_names(model: pin.Model) -> tuple[str, ...]:
 
 def _limits(model: pin.Model, limits: Vector, unlimited: float) -> Vector:
     """Put `unlimited` where Pinocchio has no limit: for cosines, sines, quaternions, and its greatest number."""
-    limited = np.abs(limits) < np.finfo(float).max
-    for joint in list(model.joints)[1:]:  # Pinocchio says twice that helical joints, of one coordinate, have limits
-        limited[joint.idx_q : joint.idx_q + joint.nq] &= list(joint.hasConfigurationLimit)[: joint.nq]
-    return np.where(limited, limits, unlimited)
+    limited = list(model.hasConfigurationLimit())
+    if len(limited) != model.nq:  # Pinocchio says twice that helical joints, of one coordinate, have limits
+        limited = [known for joint in list(model.joints)[1:] for known in list(joint.hasConfigurationLimit)[: joint.nq]]
+    return np.where(np.array(limited, dtype=bool) & (np.abs(limits) < np.finfo(float).max), limits, unlimited)
 
 
 def _is_translation(model: pin.Model) -> Mask:
