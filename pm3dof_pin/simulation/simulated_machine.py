@@ -39,12 +39,12 @@ class Conditions:
     #: temperature rise of each screw since the machine was as described, one number, or shape=(n, number of actuated
     #: joints) [K]
     temperature_rises: ArrayLike = 0.0
-    #: temperature rises by link, screw, rod or group of :class:`~pm3dof_pin.errors.body_temperatures.BodyTemperatures`,
-    #: one number each, or shape=(n,) [K]
-    body_rises: Mapping[str, ArrayLike] = field(default_factory=dict)
     #: dead wrenches [f; m] on the tool, world axes, shape=(6,) or (n, 6) [N, N m]; none by default
     wrenches: ArrayLike | None = None
     hours: ArrayLike = 0.0  #: time since the machine was as described, one number, or shape=(n,) [h]
+    #: temperature rises by link, screw, rod or group of :class:`~pm3dof_pin.errors.body_temperatures.BodyTemperatures`,
+    #: one number each, or shape=(n,) [K]
+    body_rises: Mapping[str, ArrayLike] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
