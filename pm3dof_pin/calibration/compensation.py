@@ -248,9 +248,11 @@ class Compensation:
         nearest = self._nearest(nominal, self.model_poses(nominal), conditions or {})
         return self._corrected(nearest.commands, conditions or {})
 
-    def deviations(self, nominal: Poses, conditions: Conditions | None = None) -> Array:
+    def deviations(
+        self, nominal: Poses, conditions: Conditions | None = None, *, on_failure: OnFailure = "raise"
+    ) -> Array:
         """Predict du of Fig. 8.6, the nominal machine's pseudo-error at its commands, shape=(n, commands) [m, rad]."""
-        return self._deviations(nominal, self.model_poses(nominal), conditions or {})
+        return self._deviations(nominal, self.model_poses(nominal), conditions or {}, on_failure)
 
     def model_poses(self, nominal: Poses, on_failure: OnFailure = "raise") -> Poses:
         """Return the model's poses, nominal or calibrated, at the commands of nominal poses."""
@@ -314,11 +316,13 @@ class Compensation:
         worst = float((change / np.abs(scales)).max())
         raise ConvergenceError("iterating the corrected command", worst, "m or rad", _MAX_ITERATIONS)
 
-    def _deviations(self, nominal: Poses, model: Poses, conditions: Conditions) -> Array:
+    def _deviations(
+        self, nominal: Poses, model: Poses, conditions: Conditions, on_failure: OnFailure = "raise"
+    ) -> Array:
         if self.values is None and self._wrenches(conditions, len(nominal)) is None:
             return self._learned(nominal.commands, conditions)
         seen = self._deflected(self._deviated(model, nominal.commands, conditions), conditions).transforms
-        return nearest_poses(nominal, seen, self.eta).commands - nominal.commands
+        return nearest_poses(nominal, seen, self.eta, on_failure=on_failure).commands - nominal.commands
 
     def _left_over(self, nominal: Poses, nearest: Poses, conditions: Conditions) -> tuple[Array, Array]:
         """Return mean and covariance of the tip-weighted error with corrected commands, (n, 6) and (n, 6, 6)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,7 +17,7 @@ from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_weights, weighted_energy
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices, Mask
@@ -204,11 +205,16 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
         measurements = compensation.without_loads(measurements)
     visits, eta = measurements.visits, compensation.eta
     nominal = compensation.errors.robot.forward(visits.commands)
-    predicted = compensation.deviations(nominal, visits.conditions)
+    predicted = compensation.deviations(nominal, visits.conditions, on_failure="nan")
+    # near a singular pose no command corrects, and the uncorrected one remains
+    predicted[~np.isfinite(predicted).all(axis=1)] = 0.0
     true = pseudo_errors(measurements, nominal, eta)
-    best = pseudo_errors(measurements, nominal, eta, seen=_FLOOR_SEEN).left if true.whole else true.left
+    best = true.left
+    if true.whole:
+        with contextlib.suppress(UnreachablePoseError):  # beside a singular pose, in the direction that is hardly seen
+            best = pseudo_errors(measurements, nominal, eta, seen=_FLOOR_SEEN).left
     reached = compensation.errors.robot.forward(nominal.commands + predicted, guess=nominal.q, on_failure="nan")
-    if not reached.solved.all():  # near a singular pose no command corrects, and the uncorrected one remains
+    if not reached.solved.all():
         kept = np.where(reached.solved[:, None], predicted, 0.0)
         reached = compensation.errors.robot.forward(nominal.commands + kept, guess=nominal.q)
     errors = np.stack([true.before, seen_errors(measurements, reached, eta).errors, best], axis=1)
