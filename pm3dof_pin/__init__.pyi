@@ -25,8 +25,8 @@ from .kinematics.grid import Grid as Grid
 from .kinematics.jacobians import jacobian as jacobian
 from .kinematics.mobility import instantaneous_mobility as instantaneous_mobility
 from .kinematics.pose_file import read_poses as read_poses
+from .kinematics.poses import Poses as Poses
 from .kinematics.reachable_poses import reachable_poses as reachable_poses
-from .kinematics.robot import Poses as Poses
 from .kinematics.robot import Robot as Robot
 from .kinematics.robot import load as load
 from .kinematics.singularity import singularities as singularities

@@ -26,7 +26,8 @@ import pytest
 if TYPE_CHECKING:
     from pm3dof_pin.chapter import Tripod
     from pm3dof_pin.errors.error_parameters import GeometricErrors
-    from pm3dof_pin.kinematics.robot import Poses, Robot
+    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.workspace import Workspace
 
 

@@ -35,7 +35,8 @@ from pm3dof_pin.exceptions import (
     SingularConfigurationError,
     UnreachablePoseError,
 )
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import ColumnMap
 from pm3dof_pin.measuring.measurement_file import TARGET_POINT_SIGMA, read_measurements
 from pm3dof_pin.measuring.measurements import Measurements

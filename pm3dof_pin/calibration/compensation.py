@@ -33,7 +33,8 @@ from pm3dof_pin.exceptions import (
     SingularConfigurationError,
     UnreachablePoseError,
 )
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.measuring.wrenches import is_wrench, wrenches_of

@@ -15,7 +15,8 @@ import numpy as np
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import moved_pose
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.wrenches import wrenches_of
 from pm3dof_pin.typing import Array

@@ -22,8 +22,8 @@ from pm3dof_pin.calibration.scatter import COVERAGE
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
 from pm3dof_pin.errors.pose_error import pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices, Mask
 

@@ -23,7 +23,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.instruments import planned_measurements
 from pm3dof_pin.measuring.measurements import with_joints

@@ -21,7 +21,8 @@ from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE, Identifi
 from pm3dof_pin.calibration.linearisation import Linearisation, Loss, RobustFit, tool_motions_by_drives
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array, Indices

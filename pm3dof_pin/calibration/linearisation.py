@@ -21,7 +21,7 @@ from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE
 from pm3dof_pin.errors.command_correction import command_jacobians, command_scales
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array, Indices, Mask

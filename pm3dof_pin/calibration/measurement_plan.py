@@ -31,8 +31,8 @@ from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.instruments import InstrumentName, placed_instrument, touching_poses
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS

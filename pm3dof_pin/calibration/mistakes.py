@@ -17,7 +17,7 @@ import numpy as np
 from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.measuring.registration import fitted_sphere

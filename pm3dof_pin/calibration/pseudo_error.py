@@ -19,7 +19,7 @@ import numpy as np
 
 from pm3dof_pin.errors.command_correction import command_scales, descend, weighted_control
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 

@@ -32,8 +32,8 @@ from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.files import read_text, write_text_atomically
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.measuring.nuisances import Nuisances, datum_motions
 from pm3dof_pin.measuring.wrenches import is_wrench

@@ -19,7 +19,7 @@ from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.errors.command_correction import command_scales, weighted_control
 from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.pose_error import moved_pose, tip_weights
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array
 

@@ -24,7 +24,8 @@ from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, SingularC
 from pm3dof_pin.kinematics.actuation import independent_drives
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.pose_values import BatchOptions
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.tolerances import ROUNDING

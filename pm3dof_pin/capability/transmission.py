@@ -23,7 +23,8 @@ from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.pose_values import BatchOptions
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.typing import Array, Vector
 

@@ -17,7 +17,7 @@ from pm3dof_pin.elastic.loaded import LoadedEquilibrium, loaded_equilibrium
 from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.elastic.springs import BeamSpring, CantileverSpring, Spring
 from pm3dof_pin.exceptions import PM3DofError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Vector
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare
     from pm3dof_pin.errors.source_errors import ErrorSources
     from pm3dof_pin.kinematics.grid import Grid
-    from pm3dof_pin.kinematics.robot import Poses
+    from pm3dof_pin.kinematics.poses import Poses
 
 _CLASSES = {
     "kinematic parameters": "quasi-static: kinematic parameters",

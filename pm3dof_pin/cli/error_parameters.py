@@ -17,8 +17,8 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParamet
 from pm3dof_pin.errors.minimal_parameters import error_entries, minimal_parameters, poses_needed
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 
 PresetName: TypeAlias = Literal[
     "complete", "dh", "zeros-only", "firmware-delta-6", "firmware-delta-7", "firmware-delta-9"

@@ -29,7 +29,8 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, show
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 from pm3dof_pin.kinematics.pose_file import placement_readings, readings
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Vector

@@ -14,7 +14,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.dynamics.batch import natural_frequencies
 from pm3dof_pin.dynamics.modes import Modes, natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Vector
 
 

@@ -18,7 +18,8 @@ from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.pose_file import BROKEN_LIMITS, Given, PoseTable, columns_text, read_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import unit_slip
 from pm3dof_pin.typing import Vector
 

@@ -33,7 +33,8 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import FreeDirectionError, InvalidValueError
 from pm3dof_pin.files import csv_text, write_text_atomically
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array, Matrix, Vector
 

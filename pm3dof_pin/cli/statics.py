@@ -11,7 +11,8 @@ from pm3dof_pin.cli.output import fixed, table_lines
 from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
 from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.dynamics.statics import ActuatorForces, holding_forces
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.closure_wrenches import closure_wrenches
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array

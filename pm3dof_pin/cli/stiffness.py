@@ -30,7 +30,7 @@ from pm3dof_pin.elastic.shares import shares
 from pm3dof_pin.elastic.springs import STUBBY, CantileverSpring
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Matrix, Vector
 

@@ -16,7 +16,7 @@ from pm3dof_pin.cli.poses import read_table, write_batch
 from pm3dof_pin.errors.body_temperatures import BodyTemperatures, rise_column, rises_of
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.pose_file import PoseTable, columns_text, readings
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array
 
 STANDARD_INPUT = "-"

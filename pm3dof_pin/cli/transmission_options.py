@@ -15,7 +15,8 @@ from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNo
 
 if TYPE_CHECKING:
     from pm3dof_pin.capability.transmission import Transmission
-    from pm3dof_pin.kinematics.robot import Poses, Robot
+    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.typing import Vector
 
 _POINTS = 21  # of each joint, unless that makes too many poses

@@ -32,7 +32,8 @@ from pm3dof_pin.exceptions import (
 )
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.pose_file import read_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Motion
 from pm3dof_pin.viewer import Viewer

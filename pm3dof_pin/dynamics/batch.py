@@ -14,7 +14,8 @@ from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.tolerances import MASSLESS

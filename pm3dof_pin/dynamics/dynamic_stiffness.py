@@ -21,7 +21,7 @@ from pm3dof_pin.dynamics.damping import Damping
 from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.tolerances import MASSLESS
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector

@@ -11,7 +11,8 @@ from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.pose_values import evaluate_at
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 

@@ -12,7 +12,8 @@ from pm3dof_pin.elastic.quantities import COMPLIANCE, STIFFNESS, ElasticQuantity
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.traced import elastic_program
 from pm3dof_pin.kinematics.pose_values import BatchOptions, PoseValues, evaluate_at
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure
 

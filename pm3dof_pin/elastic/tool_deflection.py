@@ -15,7 +15,8 @@ from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic.batch import elastic_model, evaluate
 from pm3dof_pin.elastic.quantities import compliance_by_spring
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Engine
 
 _PROGRAM_FROM = 100  # poses

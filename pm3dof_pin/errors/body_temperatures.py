@@ -26,7 +26,8 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference
 from pm3dof_pin.errors.thermal_growth import STEEL_EXPANSION, ThermalGrowth
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Indices, Vector
 
 T = TypeVar("T")

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.tolerances import ROUNDING, SOLVED
 from pm3dof_pin.typing import Array, Mask, OnFailure
 

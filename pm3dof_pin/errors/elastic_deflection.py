@@ -11,7 +11,7 @@ from pm3dof_pin.elastic.batch import compliance, elastic_model
 from pm3dof_pin.elastic.loaded import loaded_equilibrium
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
 from pm3dof_pin.elastic.motions import elastic_motions
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Matrix
 
 

@@ -19,7 +19,7 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
 from pm3dof_pin.errors.tool_errors import ToolErrors
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array
 
 TOGETHER = "together"

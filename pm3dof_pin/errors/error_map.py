@@ -21,7 +21,8 @@ from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
 from pm3dof_pin.errors.tool_errors import ToolErrors
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array
 

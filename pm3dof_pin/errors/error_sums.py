@@ -18,7 +18,7 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.kinematics.pose_values import BatchOptions, PoseValues, evaluate_at
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.programs.elimination import eliminate, squared_singular_values, total, zeros
 from pm3dof_pin.programs.graph import Scalar, absolute, minimum, sqrt
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects

@@ -26,7 +26,8 @@ from pm3dof_pin.errors.error_parameters import (
 )
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Matrix
 

@@ -36,7 +36,8 @@ from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.errors.thermal_growth import Bending, ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.exceptions import PM3DofError
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array
 

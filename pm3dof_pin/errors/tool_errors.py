@@ -19,7 +19,7 @@ import numpy as np
 from pm3dof_pin.errors.normal_vectors import expected_norm
 from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array, Mask
 

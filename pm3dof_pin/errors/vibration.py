@@ -23,7 +23,7 @@ from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
 from pm3dof_pin.elastic.batch import elastic_model
 from pm3dof_pin.errors.normal_vectors import correlated_normal
 from pm3dof_pin.exceptions import FreeDirectionError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array, Matrix

@@ -16,8 +16,9 @@ from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
 from pm3dof_pin.kinematics.jacobians import jacobian_program, motion_rates
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.checks import checks_program

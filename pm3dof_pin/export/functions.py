@@ -24,8 +24,9 @@ from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.jacobians import jacobian
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.shared_commands import AGREEING
 from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales
 from pm3dof_pin.programs.array_code import IMPORTS, Library, array_code

@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, require_count, require_kind
 from pm3dof_pin.exceptions import SingularConfigurationError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reference import assemble_at
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Matrix, Vector
 
 _AT_ONCE = 1024  # starts, by programs

@@ -23,7 +23,8 @@ from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfi
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
 from pm3dof_pin.programs import cache, geometry

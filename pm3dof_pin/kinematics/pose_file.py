@@ -18,7 +18,8 @@ from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.files import csv_text
 from pm3dof_pin.kinematics.actuation import motion_components
 from pm3dof_pin.kinematics.mobility import generic_configuration
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import unit_slip
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Array

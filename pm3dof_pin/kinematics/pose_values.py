@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import real_array, require_choice
 from pm3dof_pin.exceptions import PM3DofError, ProgramError, ShapeError
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
 

@@ -11,7 +11,8 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.mobility import Mobility
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
 from pm3dof_pin.programs import cache, geometry

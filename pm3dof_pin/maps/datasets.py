@@ -72,7 +72,7 @@ def coordinate_attributes(name: str, unit: str, machine: str) -> dict[str, str]:
 
 
 def limit_names(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the bits of :attr:`~pm3dof_pin.kinematics.robot.Poses.broken_limits`, in order."""
+    """Return the names of the bits of :attr:`~pm3dof_pin.kinematics.poses.Poses.broken_limits`, in order."""
     return ("reach", *(group.name for group in robot.limit_groups))
 
 

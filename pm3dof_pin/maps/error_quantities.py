@@ -16,8 +16,8 @@ from pm3dof_pin.errors.error_budget import TOGETHER, ErrorBudget, error_budget
 from pm3dof_pin.errors.error_sums import KinematicSum, kinematic_sum
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.maps.quantity import Dimension, Evaluation, MappedRobot, Quantity
 from pm3dof_pin.maps.robot_quantities import has_drives_and_tool
 from pm3dof_pin.typing import Array

@@ -17,7 +17,8 @@ from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.errors.tool_errors import LEAST_SENSITIVE_PART
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.datasets import (
     BROKEN_LIMITS,
     coordinate_attributes,

@@ -25,7 +25,8 @@ from pm3dof_pin.exceptions import PM3DofError, ProgramError
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.pose_values import BatchOptions
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.typing import Array
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.datum import DATUM_KINDS, Datum
 from pm3dof_pin.measuring.instrument import TARGET_COUNT, TARGET_RADIUS, Instrument
 from pm3dof_pin.measuring.measurement_file import encoder_column

@@ -16,7 +16,8 @@ from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, rot
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.pose_file import UNIT_QUATERNION
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.angles import angle_columns, orders_of, quaternions_of_angles, replace_angles
 from pm3dof_pin.measuring.datum import DATUM_KINDS, Datum
 from pm3dof_pin.measuring.export_file import ColumnMap, Export

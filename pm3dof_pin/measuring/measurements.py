@@ -19,7 +19,7 @@ from pm3dof_pin.errors.pose_error import (
     tip_weights,
 )
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.datum import Datum
 from pm3dof_pin.measuring.instrument import Instrument, Measured
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register

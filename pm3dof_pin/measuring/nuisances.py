@@ -30,7 +30,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.datum import Datum
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO
 from pm3dof_pin.measuring.measurements import Measurements, with_joints

@@ -26,7 +26,8 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH, moved_pose, pose_difference
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity_measures import singularity_measures
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.mechanism.loads import Payloads

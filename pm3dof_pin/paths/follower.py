@@ -13,7 +13,8 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, tool_coordinates
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.actuation import motion_components
 from pm3dof_pin.kinematics.mobility import generic_configuration
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.paths.tool_path import ToolPath
 from pm3dof_pin.typing import Array, Indices, Matrix, Vector

@@ -24,7 +24,8 @@ from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.jacobians import jacobian
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.tool_components import rotation_of_angles
 from pm3dof_pin.paths.bounds import drive_limits
 from pm3dof_pin.paths.evaluation import PathOptions

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pm3dof_pin.kinematics.robot import REACH, Robot
+from pm3dof_pin.kinematics.poses import REACH
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Vector
 
 # by key of the summary: the column, and whether its greatest value is the worst

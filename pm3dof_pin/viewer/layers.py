@@ -8,7 +8,7 @@ import numpy as np
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.maps.datasets import unit_of_entry
 from pm3dof_pin.maps.quantities import QUANTITIES, select_quantities
 from pm3dof_pin.maps.quantity import Evaluation, MappedRobot

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.limit_space import coordinates_over, robot_space
 from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.maps.workspace import Workspace, workspace

@@ -15,7 +15,8 @@ from pm3dof_pin.elastic.indices import OtherMotions
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import MOTIONS, Array, Motion

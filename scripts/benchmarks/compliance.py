@@ -15,8 +15,8 @@ from timing import least_times
 from pm3dof_pin.elastic.batch import compliance, stiffness
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.mechanism.mechanism import Mechanism
 
 POSES = 2000

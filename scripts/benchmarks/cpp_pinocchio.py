@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pinocchio as pin
 
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 
 SOURCE = Path(__file__).with_name("cpp") / "constraint_jacobians.cpp"
 DEFINITIONS = (  # those that Pinocchio's own build files require of its users

@@ -23,8 +23,9 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
 from pm3dof_pin.elastic.traced import elastic_program
 from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Matrix
 
 MACHINES = Path(__file__).parents[2] / "tests" / "machines"

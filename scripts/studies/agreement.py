@@ -30,8 +30,9 @@ from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.mobility import generic_configuration
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
 from pm3dof_pin.typing import Array, Matrix, Vector

@@ -32,8 +32,8 @@ from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.simulation.worlds import World

@@ -19,7 +19,7 @@ from pm3dof_pin.calibration.refusals import likely_cause, refusals
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import CalibrationRefusedError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 
 pytestmark = pytest.mark.usefixtures("few_folds")

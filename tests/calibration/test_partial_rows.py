@@ -11,8 +11,8 @@ import pytest
 from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, rotation_matrix, tip_error
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.measurement_file import write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 

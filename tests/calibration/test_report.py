@@ -22,7 +22,8 @@ from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import energy as pose_energy
 from pm3dof_pin.exceptions import DescriptionError, OutputError
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurement_file import read_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import AT_THE_BASE

@@ -22,8 +22,8 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurement_file import write_measurements
 from pm3dof_pin.measuring.measurements import Measurements

@@ -24,8 +24,9 @@ from pm3dof_pin.errors.pose_error import energy, moved_pose, pose_difference, ti
 from pm3dof_pin.errors.source_errors import ErrorSources, SourceErrors, _declared_numbers
 from pm3dof_pin.errors.waviness import GuideWaviness
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.simulation.simulated_machine import Conditions, MachineDrift, SimulatedMachine
 
 WRENCH = np.array([200.0, -100.0, -300.0, 5.0, -3.0, 2.0])

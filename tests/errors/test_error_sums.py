@@ -14,8 +14,9 @@ from pm3dof_pin.errors.error_sums import KinematicSum, kinematic_sum
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import elimination
 
 WAVES = {"waviness": {"pitch_m": 3e-6, "straightness_m": 5e-6, "lengths_m": [0.01, 0.02]}}

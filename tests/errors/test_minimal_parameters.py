@@ -13,8 +13,9 @@ from pm3dof_pin.description.robots import find_robot, robot_names
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.minimal_parameters import error_entries, minimal_parameters
 from pm3dof_pin.errors.pose_error import pose_difference
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 
 
 @pytest.fixture(scope="module", params=robot_names())

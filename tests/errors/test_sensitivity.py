@@ -14,8 +14,9 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
 from pm3dof_pin.errors.pose_error import pose_difference
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
 from families import legs, walker

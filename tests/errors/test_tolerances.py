@@ -11,7 +11,7 @@ from pm3dof_pin.errors.error_map import ErrorMap, error_map, monte_carlo
 from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter
 from pm3dof_pin.errors.tolerances import Rule, allocate_tolerances
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 
 TARGET = 1e-4
 

@@ -16,8 +16,9 @@ from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.vibration import CAUSES, Vibration
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 
 
 def quiet(**spectra: Spectrum | None) -> VibrationNumbers:

@@ -27,8 +27,9 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurement_file import command_columns
 from pm3dof_pin.typing import Array
 

@@ -14,8 +14,9 @@ from pm3dof_pin.elastic.batch import compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses as draw
-from pm3dof_pin.kinematics.robot import REACH, Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.tool_components import rotation_of_angles
 from pm3dof_pin.typing import Array, Engine
 

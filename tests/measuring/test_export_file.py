@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.exceptions import DescriptionError, MeasurementError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.export_file import PROFILES, ColumnMap
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements

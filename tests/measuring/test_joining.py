@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.export_file import ColumnMap
 from pm3dof_pin.measuring.file_check import FileCheck
 from pm3dof_pin.measuring.joining import join

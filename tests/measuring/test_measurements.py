@@ -9,7 +9,8 @@ import pytest
 
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurement_file import command_columns, read_measurements, read_plan, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements

@@ -14,8 +14,8 @@ from pm3dof_pin.calibration.identifiability import Identifiability, stacked_regr
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements

@@ -12,7 +12,7 @@ from pm3dof_pin.calibration.fit import Options, fit
 from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register

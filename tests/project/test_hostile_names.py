@@ -25,7 +25,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.export.formats import FORMATS, export_robot
 from pm3dof_pin.figures.labels import entry_words, parameter_words, part_words, plain, symbol
 from pm3dof_pin.figures.style import house_style
-from pm3dof_pin.kinematics.robot import Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.programs.c import c99
 from pm3dof_pin.programs.graph import Graph

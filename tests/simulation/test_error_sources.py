@@ -21,7 +21,8 @@ from pm3dof_pin.errors.thermal_growth import ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import GuideWaviness, Wave
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.simulated_machine import Conditions, GeometricSource, SimulatedMachine, _with_all_parameters
 

@@ -11,8 +11,9 @@ from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.kinematics.robot import Poses, Robot
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.wrenches import WEIGHT_COLUMN
 from pm3dof_pin.simulation.worlds import TEMPERATURE, World
