@@ -17,9 +17,6 @@ from __future__ import annotations
 
 import math
 
-from scipy.optimize import brentq
-from scipy.special import ellipe, ellipk
-
 MODULUS = 208e9
 """Young's modulus of bearing steel [N/m^2]."""
 
@@ -39,6 +36,9 @@ def point_contact(curvatures: tuple[float, float]) -> float:
     Raises:
         ValueError: a sum of curvatures is not positive.
     """
+    from scipy.optimize import brentq  # for few machines, and slow to import
+    from scipy.special import ellipe, ellipk
+
     small, large = sorted(curvatures)
     if not small > 0.0:
         raise ValueError(f"curvatures {curvatures}: expected positive sums")
