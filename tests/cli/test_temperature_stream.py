@@ -49,7 +49,7 @@ def test_a_file_and_standard_input_are_answered_alike(folder: Path, tmp_path: Pa
     ("text", "message"),
     [
         ("theta_x_deg,theta_y_deg,z_e_m\n0,0,0.49\n", "rise_platform_K"),
-        ("theta_x_deg,theta_y_deg,z_e_m,rise_spindle_K\n0,0,0.49,3\n", "spindle"),
+        ("theta_x_deg,theta_y_deg,z_e_m,rise_gantry_K\n0,0,0.49,3\n", "gantry"),
         ("", "header"),
     ],
 )
