@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from typing import Any
 
 from docutils import nodes
 from sphinx.application import Sphinx
@@ -31,7 +32,14 @@ def _public_modules(name: str) -> list[str]:
     return [f"{name}.{entry.name}" for entry in pkgutil.iter_modules(module.__path__) if entry.name[0] != "_"]
 
 
+def _skip_generated(_: Sphinx, __: str, ___: str, member: Any, ____: bool, _____: object) -> bool | None:
+    """Leave out methods that a base class of another package writes into ours, as Matplotlib's artists do."""
+    module = getattr(member, "__module__", None) or ""
+    return True if callable(member) and module.startswith("matplotlib.") else None
+
+
 def setup(app: Sphinx) -> ExtensionMetadata:
     """Register the directive."""
     app.add_directive("modules", Modules)
+    app.connect("autodoc-skip-member", _skip_generated)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
