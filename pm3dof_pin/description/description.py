@@ -254,6 +254,8 @@ class Drive:
     proportional_gain: float | None = None  #: force per position error [N/m, N m/rad]
     derivative_gain: float | None = None  #: force per speed [N s/m, N m s/rad]
     control_range: tuple[float, float] | None = None  #: of the control signal
+    #: force per unit of the control signal [N, N m], if not 1 of a motor, or the gain of a servo
+    control_gain: float | None = None
     force_range: tuple[float, float] | None = None  #: of the actuator [N, N m]
     origin: Origin = NOWHERE
 

@@ -111,7 +111,7 @@ class Mechanism:
         require_kind("model", model, pin.Model, "Pinocchio")
         self._prototype: Self | None = None
         self.model = model.copy()
-        self.name: str = model.name
+        self.name: str = model.name or "robot"
         self.closures = tuple(closures)
         self.couplings = tuple(couplings)
         self.tool_frame = tool_frame

@@ -42,7 +42,9 @@ def test_the_printed_numbers_are_those_of_the_section_as_it_stands(tripod: Tripo
 
 
 @pytest.mark.parametrize(("radius", "bore"), [(10.32, 0.0), (12.0, 9.0)])
-def test_one_radius_changes_stiffness_mass_and_drawing(tmp_path: Path, radius: float, bore: float) -> None:
+def test_one_radius_changes_stiffness_mass_and_drawing(
+    tmp_path: Path, rigid_in_shear: Callable[..., Robot], radius: float, bore: float
+) -> None:
     values = f"passive_leg_radius: {{value: {radius}}}, passive_leg_bore: {{value: {bore}}}"
     path = _changed(tmp_path, f"section: {{{values}}}\n")
     fourth, second = (((1e-3 * radius) ** n - (1e-3 * bore) ** n) / RADIUS**n for n in (4, 2))
@@ -58,7 +60,12 @@ def test_one_radius_changes_stiffness_mass_and_drawing(tmp_path: Path, radius: f
     moving = sum(inertia.mass for inertia in robot.model.inertias)
     known = sum(inertia.mass for inertia in pm.load("pm3dof").model.inertias)
     assert moving - known == pytest.approx((second - 1.0) * MASS, abs=1e-9)
-    pose = [0.2, -0.3, 0.5]
+    shears = next(entry["shear_stiffness"] for entry in robot.springs if entry["name"] == "passive_leg")
+    nu, m = EI / GJ - 1.0, (bore / radius) ** 2  # G. Cowper's coefficient of a tube
+    coefficient = 6 * (1 + nu) * (1 + m) ** 2 / ((7 + 6 * nu) * (1 + m) ** 2 + (20 + 12 * nu) * m)
+    shear_modulus = GJ / (0.5 * np.pi * RADIUS**4)
+    assert shears == pytest.approx(coefficient * shear_modulus * np.pi * 1e-6 * (radius**2 - bore**2))
+    pose, robot = [0.2, -0.3, 0.5], rigid_in_shear(robot)
     np.testing.assert_allclose(
         pm.stiffness(robot, robot.solve(pose)), elastic_stiffness(machine, pose), rtol=1e-7, atol=1e-2
     )
@@ -83,7 +90,7 @@ def test_a_file_without_a_section_is_read_as_before(tmp_path: Path) -> None:
     assert Tripod.load(path).parameters.bending_stiffness == EI
     robot = Robot.load(temporary_description("pm3dof", path))
     spring = next(entry for entry in robot.springs or () if entry["name"] == "passive_leg")
-    assert spring["bending_stiffness"] == EI
+    assert (spring["bending_stiffness"], spring["shear_stiffness"]) == (EI, "rigid")  # its section is unknown
 
 
 @pytest.mark.parametrize(
@@ -138,6 +145,8 @@ def _stiffness_with_joint_at_base(tripod: Tripod, robot: Robot, pose: Any) -> np
     length = np.linalg.norm(origin - pivot)
     np.testing.assert_allclose((origin - pivot) / length, R[:, 2], atol=1e-9)  # the bar is part of the platform
     flexible = np.diag([length**3 / (3 * EI)] * 2 + [0.0] + [length / EI] * 2 + [length / GJ])
+    nu = EI / GJ - 1.0
+    flexible[[0, 1], [0, 1]] += length * RADIUS**2 / (12.0 * (1.0 + nu) / (7.0 + 6.0 * nu) * GJ)  # shear
     flexible[0, 4] = flexible[4, 0] = -(length**2) / (2 * EI)  # from the platform down
     flexible[1, 3] = flexible[3, 1] = length**2 / (2 * EI)
     turn = np.kron(np.eye(2), R)

@@ -209,7 +209,7 @@ def _replace_by_no_file(file: Path, generator: random.Random) -> None:
             file.touch(mode=0)
 
 
-_SAMPLES = ("export", "join", "klipper", "reprapfirmware", "marlin", "acceptance", "history")
+_SAMPLES = ("export", "join", "ballbar", "rows", "klipper", "reprapfirmware", "marlin", "acceptance", "history")
 
 
 class Input:
@@ -351,6 +351,32 @@ def _read_join(folder: Path) -> None:
     _require(np.isfinite(rows[:, :3]).all() and joined.greatest_gap <= 0.05, "joined rows")
 
 
+def _read_ballbar(folder: Path) -> None:
+    import numpy as np
+
+    from pm3dof_pin.kinematics.robot import load
+    from pm3dof_pin.measuring.ballbar import Circle, ballbar_columns
+
+    robot = load("hexapod")
+    x, y, z = map(float, robot.home.tool_placement.translation)
+    for trace in sorted(folder.glob("*.csv")):
+        rows = ballbar_columns(trace, robot, Circle((x, y, z), 0.008, feed=0.02), samples=8)
+        _require(np.isfinite(list(rows.values())).all(), "distances")
+
+
+def _read_rows(folder: Path) -> None:
+    import numpy as np
+
+    from pm3dof_pin.kinematics.robot import load
+    from pm3dof_pin.measuring.measurement_file import read_measurements
+
+    robot = load("hexapod")
+    for file in sorted(folder.glob("*.csv")):
+        found = read_measurements(file, robot)
+        residuals = found.residuals(robot.forward(found.commands))
+        _require(np.isfinite(residuals[found.seen]).all(), "residuals")
+
+
 def _read_printer(folder: Path) -> None:
     import numpy as np
 
@@ -393,7 +419,11 @@ def write_samples(above: Path) -> Path:
     """Write small valid files of kinds that the repository has none of, a folder for each, and return the folder."""
     import numpy as np
 
+    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.kinematics.robot import load
+    from pm3dof_pin.measuring.instruments.table import placed_instrument
+    from pm3dof_pin.measuring.measurement_file import write_measurements
+    from pm3dof_pin.measuring.observation import planned_measurements
 
     texts: dict[str, str] = {}
     robot = load("pm3dof")
@@ -440,9 +470,22 @@ def write_samples(above: Path) -> Path:
     result = {"test": "positioning", "readings": 30, "results_m": numbers, "test_uncertainties_k2_m": numbers}
     texts["acceptance/acceptance.json"] = json.dumps(result)
     texts["history/history.jsonl"] = '{"verdict": "unchanged", "risk": 0.01}\n{"verdict": "re-zero", "risk": 0.2}\n'
+    angles = np.linspace(0.0, 2.0 * np.pi, 20)
+    texts["ballbar/angles.csv"] = "Angle [deg];Reading [um]\n" + "".join(
+        f"{np.degrees(angle):.3f};{40.0 * np.cos(angle):.3f}\n" for angle in angles
+    )
+    texts["ballbar/times.csv"] = "# socket 1\ntime_s,reading_m\n" + "".join(
+        f"{0.4 * angle:.4f},{4e-5 * np.sin(angle):.8f}\n" for angle in angles
+    )
     for name, text in texts.items():
         (above / name).parent.mkdir(parents=True, exist_ok=True)
         (above / name).write_text(text, encoding="utf-8")
+    hexapod = load("hexapod")
+    seen = reachable_poses(hexapod, 12, np.random.default_rng(0), margin=0.2)
+    (above / "rows").mkdir(exist_ok=True)
+    for name in ("ballbar", "gauge", "camera", "socket"):
+        given = planned_measurements(seen, placed_instrument(name, seen, point=(0.02, -0.03, 0.04)))
+        write_measurements(given, hexapod, above / "rows" / f"{name}.csv")
     return above
 
 
@@ -490,6 +533,8 @@ def inputs(calibrations: Sequence[Path] = (), samples: Path | None = None) -> di
         "export": Input(of["export"], "*.csv", _read_export),
         "columns": Input(of["export"], "*.yaml", _read_export),
         "join": Input(of["join"], "*.csv", _read_join),
+        "ballbar": Input(of["ballbar"], "*.csv", _read_ballbar),
+        "rows": Input(of["rows"], "*.csv", _read_rows),
         "klipper": Input(of["klipper"], "printer.*", _read_printer),
         "gcode": Input([*of["reprapfirmware"], *of["marlin"]], "printer.*", _read_printer),
         "acceptance": Input(of["acceptance"], "*", _read_acceptance),

@@ -11,8 +11,8 @@ from types import ModuleType
 import pytest
 
 SCRIPT = Path(__file__).with_name("mutants.py")
-OF_SAMPLES = ("export", "columns", "join", "klipper", "gcode", "acceptance", "history")
-KINDS = ("urdf", "closures", "springs", "srdf", "errors", "parameters", "mjcf", "sdf", "loops")
+OF_SAMPLES = ("export", "columns", "join", "ballbar", "rows", "klipper", "gcode", "acceptance", "history")
+KINDS = ("urdf", "xacro", "closures", "springs", "srdf", "errors", "parameters", "mjcf", "sdf", "loops")
 DIALECTS = ("urdf_plus", "robot_yaml", "loop_closures")
 
 

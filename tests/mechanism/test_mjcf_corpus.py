@@ -13,6 +13,8 @@ import trimesh
 
 from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.readers.mjcf import read_mjcf
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
@@ -223,6 +225,28 @@ def test_a_tendon_of_free_joints_is_a_coordinate_of_its_own(tmp_path: Path) -> N
     assert DegreesOfFreedom(robot.home).count == 2
     q = robot.assemble(joints={"first": 0.2, "second": 0.4}).q
     assert q[robot.q_names.index("split")] == pytest.approx(0.5 * (0.2 + 0.4), abs=1e-9)
+
+
+def test_springs_of_fixed_tendons_are_felt_at_the_tool(tmp_path: Path) -> None:
+    """Two hinges with springs of their own, and c q of a tendon: in joint space, K = diag(k) + s c c^T."""
+    c, s, k = np.array([0.6, -1.2]), 50.0, np.array([40.0, 30.0])
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        f"""<mujoco><default><tendon stiffness="{s}"/></default><worldbody><body name="upper">
+        <joint name="shoulder" axis="0 1 0" stiffness="{k[0]}"/><geom size="0.1"/>
+        <body name="lower" pos="1 0 0"><joint name="elbow" axis="0 1 0" stiffness="{k[1]}"/><geom size="0.1"/>
+        <site name="tip" pos="0.5 0 0"/></body></body></worldbody>
+        <tendon><fixed name="strap"><joint joint="shoulder" coef="{c[0]}"/><joint joint="elbow" coef="{c[1]}"/></fixed>
+        <fixed name="band" stiffness="7"><joint joint="elbow" coef="2"/></fixed></tendon>
+        <actuator><motor joint="shoulder"/><motor joint="elbow"/></actuator></mujoco>""",
+        encoding="utf-8",
+    )
+    robot = Robot.load(path, tool_frame="tip")
+    assert DegreesOfFreedom(robot.home).count == 2
+    stiffness = np.diag(k) + s * np.outer(c, c) + np.diag([0.0, 7.0 * 2.0**2])
+    lever = np.array([-1.5, -0.5])  # of the tip along z, by each hinge [m]
+    found = cartesian_compliance(ElasticModel(robot), robot.home).compliance[2, 2]
+    assert found == pytest.approx(lever @ np.linalg.solve(stiffness, lever), rel=1e-9)
 
 
 def test_drives_keep_gains_gears_and_ranges(tmp_path: Path) -> None:

@@ -240,15 +240,32 @@ def test_models_are_included_from_folders_next_to_the_file(model_folders: Path) 
     assert (elbow.effort, elbow.damping) == (None, 0.0)
 
 
+def test_merged_models_have_the_names_of_the_model_around_them(model_folders: Path) -> None:
+    """The include turns the arm by 90 degrees about z: its x axis, here the elbow's, is y of the cell."""
+    arm = ARM.replace("<xyz>0 0 1</xyz>", "<xyz expressed_in='__model__'>1 0 0</xyz>")
+    arm = arm.replace("</model>", "<frame name='tool'><pose>1 0 0 0 0 0</pose></frame></model>")
+    (model_folders.parents[1] / "arm" / "arm.sdf").write_text(arm, encoding="utf-8")
+    text = CELL.replace("<include><uri>model://arm", '<include merge="true"><uri>model://arm')
+    model_folders.write_text(text.replace("left::__model__", "upper"), encoding="utf-8")
+    robot = Robot.load(model_folders)
+    assert [joint.name for joint in robot.description.joints if not joint.is_fixed] == ["elbow"]
+    turned = robot.configuration([0.3])
+    expected = pin.utils.rotate("y", 0.3) @ pin.utils.rotate("z", 0.5 * np.pi)
+    np.testing.assert_allclose(turned.frame_placement("fore").rotation, expected, atol=1e-12)
+    np.testing.assert_allclose(turned.frame_placement("fore").translation, [0.0, 1.5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(turned.frame_placement("tool").translation, [0.0, 2.0, 0.0], atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("model://arm", "model://../arm", "line 3: <include>: expected a model"),
         ("model://arm", "../../outside.sdf", "line 3: <include>: is .*outside.sdf, expected a file in"),
         ("model://arm", "https://fuel/arm", "line 3: <include>: expected a model"),
-        ("<include><uri>model://arm", '<include merge="true"><uri>model://arm', "line 3: <include>: .*with merge"),
+        ("<include><uri>model://arm", '<include merge="true"><uri>model://cell', "line 3: <include>: .*with merge"),
         ("<name>left", "<placement_frame>x</placement_frame><name>left", "<include>: .*with <placement_frame>"),
         ("model://arm", "model://cell", "nested more than 20 deep"),
+        ('<link name="base"/>', '<link name="base"/><model name="x" placement_frame="y"/>', "'x'.*placement_frame"),
     ],
 )
 def test_what_cannot_be_included_is_refused_by_line(model_folders: Path, old: str, new: str, message: str) -> None:

@@ -12,10 +12,13 @@ import pinocchio as pin
 import pytest
 
 import pm3dof_pin as pm
+from pm3dof_pin.capability.transmission import drive_values
 from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.readers.pinocchio_model import describe_model
 from pm3dof_pin.description.robots import find_robot, robot_names
 from pm3dof_pin.exceptions import DescriptionError, FreeDirectionError, InvalidValueError, UnknownRobotError
+from pm3dof_pin.export.mjcf import mjcf_text
+from pm3dof_pin.export.robot_document import read_robot
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.model import build_model
@@ -70,6 +73,37 @@ def test_a_compiled_model_of_mujoco_is_that_of_its_file(tmp_path: Path, as_spec:
     ]
     for name in ("home", "qpos0"):
         np.testing.assert_allclose(found.named_configurations[name], expected.named_configurations[name], atol=1e-14)
+
+
+def test_the_effort_of_a_general_actuator_is_its_gain_times_its_control(tmp_path: Path) -> None:
+    actuators = """<actuator>
+      <general name="motor" joint="hip" gear="3" gainprm="20" ctrlrange="-2 2"/>
+      <general name="least" joint="knee" gear="3" gainprm="20" ctrlrange="-2 2" forcerange="-30 30"/>
+      <general name="servo" joint="toe" gainprm="7" biastype="affine" biasprm="0 -7 -2" ctrlrange="-1 1"/>
+      <general name="scaled" joint="tip" gainprm="0.5" biastype="affine" biasprm="0 -7 -2" ctrlrange="-1 1"/>
+    </actuator>"""
+    joints = ("hip", "knee", "toe", "tip")
+    body = "".join(f'<body><joint name="{name}"/><geom size="0.1"/>' for name in joints)
+    path = tmp_path / "leg.xml"
+    path.write_text(f"<mujoco><worldbody>{body}{'</body>' * 4}</worldbody>{actuators}</mujoco>", encoding="utf-8")
+    reference = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(reference)
+    data.ctrl[:2] = 2.0
+    mujoco.mj_forward(reference, data)
+    written = tmp_path / "written.xml"
+    written.write_text(mjcf_text(read_robot(path)), encoding="utf-8")
+    for source in (path, reference, written):
+        robot = pm.load(source)
+        drives = robot.description.drives
+        assert [drive.kind for drive in drives] == ["motor", "motor", "position", "position"]
+        assert [drive.proportional_gain for drive in drives] == [None, None, 7.0, 7.0]
+        assert [drive.derivative_gain for drive in drives] == [None, None, 2.0, 2.0]
+        efforts = drive_values(robot, "effort")
+        np.testing.assert_allclose(efforts[:2], data.qfrc_actuator[:2], rtol=1e-15)
+        assert np.isinf(efforts[2:]).all()
+    again = mujoco.MjModel.from_xml_path(str(written))
+    np.testing.assert_array_equal(again.actuator_gainprm[:, 0], reference.actuator_gainprm[:, 0])
+    np.testing.assert_array_equal(again.actuator_biasprm[:, :3], reference.actuator_biasprm[:, :3])
 
 
 @pytest.mark.parametrize("name", robot_names())

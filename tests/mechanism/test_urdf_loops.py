@@ -134,11 +134,17 @@ def test_a_coupling_of_urdf_plus_is_a_gear(write_robot: Writer) -> None:
 
 def test_a_gazebo_plugin_makes_a_joint_follow(write_robot: Writer) -> None:
     text = FOUR_BAR.format(
-        '<gazebo><plugin name="p" filename="libmimic.so"><joint>j3</joint><mimicJoint>j1</mimicJoint>'
+        '<gazebo><plugin name="p" filename="libmimic.so"><joint>j1</joint><mimicJoint>j3</mimicJoint>'
         "<multiplier>-2</multiplier><offset>0.1</offset></plugin></gazebo>"
     )
     (coupling,) = Robot.load(write_robot(text, "{}\n")).couplings
     assert (coupling.joint, coupling.joints, coupling.value([0.3])) == ("j3", ("j1",), pytest.approx(-0.5))
+    # as Talos' gripper has it: the follower was fixed later
+    fixed = '<link name="jaw"/><joint name="held" type="fixed"><parent link="base"/><child link="jaw"/></joint>'
+    robot = Robot.load(
+        write_robot(text.replace("<mimicJoint>j3", "<mimicJoint>held").replace("<gazebo>", f"{fixed}<gazebo>"), "{}\n")
+    )
+    assert robot.couplings == ()
 
 
 def test_transmissions_say_what_drives_a_loop(write_robot: Writer) -> None:

@@ -35,6 +35,7 @@ from pm3dof_pin.description.inertia_checks import inertia_matrix, inertia_proble
 from pm3dof_pin.description.mesh_files import read_meshes
 from pm3dof_pin.description.own_files import require_own
 from pm3dof_pin.description.physical_bounds import ANY, LENGTH, MASS, MOMENT, NOT_NEGATIVE, SIZE, Bounds
+from pm3dof_pin.description.readers.control_laws import BIASES, LAGS, with_control_law
 from pm3dof_pin.description.readers.elements import ElementReader, free_name, named
 from pm3dof_pin.description.readers.mjcf_document import TIMES, MjcfDocument
 from pm3dof_pin.description.readers.mjcf_inertia import SOLIDS, geom_inertia, mesh_inertia
@@ -129,6 +130,7 @@ class _MjcfReader(ElementReader):
         couplings, fixed = self._couplings()
         closures = self._closures()
         drives, tendon_parts = self._drives(couplings)
+        springs = self._springs(couplings, tendon_parts)
         description = Description(
             root.get("model") or document.path.stem,
             (*self._scaled_bodies(), *tendon_parts[0]),
@@ -140,7 +142,7 @@ class _MjcfReader(ElementReader):
             tuple(dict.fromkeys(drive.joint for drive in drives)),
             self._commands(drives),
             tool_frame=next((self.sites[name] for name in _TOOL_SITES if name in self.sites), None),
-            springs=tuple(self._springs()),
+            springs=springs,
             configurations=self._configurations(fixed),
             untouchable=tuple(
                 (entry.get("body1", WORLD), entry.get("body2", WORLD))
@@ -706,7 +708,7 @@ class _MjcfReader(ElementReader):
             ranges[key] = (lower, upper) if given_range and lower is not None and upper is not None else None
         is_servo = given.tag in ("position", "intvelocity")
         default_gain = 1.0 if is_servo else None
-        return Drive(
+        drive = Drive(
             given.get("name", joint),
             joint,
             gear,
@@ -717,6 +719,12 @@ class _MjcfReader(ElementReader):
             force_range=ranges["force"],
             origin=given.origin,
         )
+        kinds = {"gaintype": ("fixed",), "biastype": BIASES, "dyntype": LAGS}  # the first is the default
+        if given.tag != "general" or any(element.get(key, known[0]) not in known for key, known in kinds.items()):
+            return drive
+        gain = (*self.numbers(element, "gainprm", None, ANY, place, (1.0,)), 0.0)[0]
+        bias = (*self.numbers(element, "biasprm", None, ANY, place, ()), 0.0, 0.0, 0.0)[:3]
+        return with_control_law(drive, gain, bias if element.get("biastype") == "affine" else (0.0, 0.0, 0.0))
 
     def _tendon_joint(
         self, tendon: Element, couplings: list[Coupling], extra: tuple[list[Body], list[Joint], list[Coupling]]
@@ -755,18 +763,31 @@ class _MjcfReader(ElementReader):
             first.setdefault(drive.joint, drive.name)
         return tuple(Command(name, joint, "rad" if joint in slides else "m") for joint, name in first.items())
 
-    def _springs(self) -> list[dict[str, object]]:
-        return [
+    def _springs(
+        self, couplings: list[Coupling], extra: tuple[list[Body], list[Joint], list[Coupling]]
+    ) -> tuple[dict[str, object], ...]:
+        """Return the springs of joints and of fixed tendons; parts of tendons over several joints are added."""
+        named_stiffness = {joint.name: (joint.name, joint.stiffness) for joint in self.joints if joint.stiffness > 0.0}
+        for given in self.document.sections("tendon"):
+            element = self._resolved(given, "", kind="tendon")
+            stiffness = (*self.numbers(element, "stiffness", None, _STIFFNESS, named(given), (0.0,)), 0.0)[0]
+            if stiffness > 0.0 and given.tag == "fixed":
+                joint, share = self._tendon_joint(given, couplings, extra)
+                name, own = named_stiffness.get(joint, (given.get("name") or joint, 0.0))
+                named_stiffness[joint] = (name, own + stiffness * share**2)
+            elif stiffness > 0.0:
+                self.read_over(given, "the stiffness of a spatial tendon")
+        turning = {joint.name for joint in self.joints if joint.type != "prismatic"}
+        return tuple(
             {
-                "name": joint.name,
+                "name": name,
                 "type": "joint",
-                "joint": joint.name,
-                "stiffness": joint.stiffness,
-                "unit": "N/m" if joint.type == "prismatic" else "N m/rad",
+                "joint": joint,
+                "stiffness": stiffness,
+                "unit": "N m/rad" if joint in turning else "N/m",
             }
-            for joint in self.joints
-            if joint.stiffness > 0.0
-        ]
+            for joint, (name, stiffness) in named_stiffness.items()
+        )
 
     # Configurations
 

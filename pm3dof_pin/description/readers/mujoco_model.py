@@ -23,11 +23,14 @@ from pm3dof_pin.description.description import (
     Unread,
 )
 from pm3dof_pin.description.origin import Origin
+from pm3dof_pin.description.readers.control_laws import with_control_law
 from pm3dof_pin.description.readers.elements import free_name
 
 _FREE, _BALL, _SLIDE = 0, 1, 2  # mjtJoint
 _CONNECT, _WELD, _JOINT = 0, 1, 2  # mjtEq
 _OF_JOINT = (0, 1)  # mjtTrn
+_FIXED_GAIN, _AFFINE_BIAS = 0, 1  # mjtGain; mjtBias, of which 0 is none
+_LAGS = (0, 2, 3)  # mjtDyn: none, filter, filterexact
 _TYPES: dict[int, JointType] = {_FREE: "floating", _BALL: "spherical", _SLIDE: "prismatic", 3: "revolute"}
 
 
@@ -181,19 +184,19 @@ class _Compiled:
                     (model.actuator_forcerange[k], model.actuator_forcelimited[k]),
                 )
             ]
-            gains, is_servo = model.actuator_biasprm[k], bool(model.actuator_biasprm[k, 1])
-            drives.append(
-                Drive(
-                    name or self.joints[joint],
-                    self.joints[joint],
-                    float(model.actuator_gear[k, 0]),
-                    kind="position" if is_servo else "motor",
-                    proportional_gain=-float(gains[1]) if is_servo else None,
-                    derivative_gain=-float(gains[2]) if gains[2] else None,
-                    control_range=ranges[0],
-                    force_range=ranges[1],
-                )
+            drive = Drive(
+                name or self.joints[joint],
+                self.joints[joint],
+                float(model.actuator_gear[k, 0]),
+                kind="general",
+                control_range=ranges[0],
+                force_range=ranges[1],
             )
+            laws = (model.actuator_gaintype[k], model.actuator_biastype[k], model.actuator_dyntype[k])
+            if laws[0] == _FIXED_GAIN and laws[1] <= _AFFINE_BIAS and laws[2] in _LAGS:
+                gain, bias = float(model.actuator_gainprm[k, 0]), model.actuator_biasprm[k, :3]
+                drive = with_control_law(drive, gain, [float(part) for part in bias] if laws[1] else (0.0, 0.0, 0.0))
+            drives.append(drive)
         return drives
 
     def _configurations(self) -> dict[str, dict[str, tuple[float, ...]]]:

@@ -37,7 +37,7 @@ from pm3dof_pin.description.inertia_checks import MOMENTS, inertia_matrix, inert
 from pm3dof_pin.description.origin import Origin
 from pm3dof_pin.description.physical_bounds import ANY, LENGTH, MASS, NOT_NEGATIVE, PRODUCT, SIZE, Bounds
 from pm3dof_pin.description.readers.elements import ElementReader, free_name, named
-from pm3dof_pin.description.readers.sdf_includes import included_model
+from pm3dof_pin.description.readers.sdf_includes import included_model, is_merged, merged_parts
 from pm3dof_pin.description.xml_file import Element, child, children
 
 WORLD = "world"
@@ -184,15 +184,9 @@ class _SdfReader(ElementReader):
 
     def _register(self, model: Element, scope: str, depth: int = 0) -> None:
         self.check_children(model, _MODEL_PARTS, _MODEL_PASSED)
-        for element in children(model):
+        for element in self._with_included(model, depth):
             if element.tag == "plugin" and child(element, "joint_name") is None:
                 self.read_over(element)
-            if element.tag == "include":
-                found = included_model(element, self.folders, depth)
-                if isinstance(found, str):
-                    self.refuse(element, found)
-                    continue
-                element = found
             if element.tag not in ("link", "joint", "frame", "model"):
                 continue
             name = f"{scope}{element.get('name', '')}"
@@ -202,7 +196,26 @@ class _SdfReader(ElementReader):
                 raise element.origin.error(f"{element.tag} '{name}'", "is defined twice, expected unique names")
             self.elements[name], self.scopes[name] = element, scope
             if element.tag == "model":
+                if element.get("placement_frame"):
+                    self.refuse(element, "is placed by its placement_frame, which is not supported")
                 self._register(element, f"{name}::", depth + 1)
+
+    def _with_included(self, model: Element, depth: int) -> Iterator[Element]:
+        """Yield the elements of a model, with the models that it includes, or their parts if they are merged."""
+        for element in children(model):
+            if element.tag != "include":
+                yield element
+                continue
+            found: Element | list[Element] | str = included_model(element, self.folders, depth)
+            if isinstance(found, Element) and is_merged(element):
+                self.check_children(found, _MODEL_PARTS, _MODEL_PASSED)
+                found = merged_parts(found)
+            if isinstance(found, str):
+                self.refuse(element, found)
+            elif isinstance(found, list):
+                yield from found
+            else:
+                yield found
 
     def _resolved(self, name: str, scope: str, element: Element) -> str:
         """Return the scoped name of what a reference means; the model's own frame is that of its scope."""

@@ -25,8 +25,6 @@ def included_model(include: Element, folders: Iterable[Path], depth: int = 0) ->
     """
     folders = tuple(folders)
     name = (getattr(child(include, "uri"), "text", None) or "").strip()
-    if include.get("merge") in ("true", "1"):
-        return "is not supported with merge"
     for part in children(include):
         if part.tag not in _HONOURED:
             return f"is not supported with <{part.tag}>"
@@ -84,3 +82,43 @@ def _placed(model: Element, include: Element) -> Element:
     placed.extend(part for part in children(model) if part.tag not in given)
     placed.extend(given.values())
     return placed
+
+
+def is_merged(include: Element) -> bool:
+    """Return whether the parts of the included model become those of the model that includes it."""
+    return include.get("merge") in ("true", "1")
+
+
+def merged_parts(model: Element) -> list[Element] | str:
+    """Return the parts of a model for another one, placed in a frame that stands for its own; or why they cannot be.
+
+    The frame has the name that SDF reserves for it, `_merged__NAME__model__`. The elements of the model are changed.
+    """
+    frame = Element("frame", {"name": f"_merged__{model.get('name', '')}__model__"})
+    frame.path, frame.line = model.path, model.line
+    frame.extend(children(model, "pose"))
+    parts = [frame]
+    for part in children(model, "link", "joint", "frame", "model", "include", "plugin"):
+        if part.tag == "include":
+            return "is not supported with merge: its model includes others"
+        if part.tag == "frame" and not part.get("attached_to"):
+            part.set("attached_to", frame.attrib["name"])
+        if part.tag in ("link", "model"):
+            _require_pose(part, frame.attrib["name"])
+        for inner in [part, child(part, "pose")] if part.tag == "model" else part.iter():
+            for key in ("relative_to", "attached_to", "expressed_in"):
+                if inner is not None and inner.get(key) == "__model__":
+                    inner.set(key, frame.attrib["name"])
+        parts.append(part)
+    return parts
+
+
+def _require_pose(part: Element, frame: str) -> None:
+    """Give a part a pose that names the frame it is relative to."""
+    pose = child(part, "pose")
+    if pose is None:
+        pose = Element("pose")
+        pose.path, pose.line, pose.text = part.path, part.line, "0 0 0 0 0 0"
+        part.append(pose)
+    if not pose.get("relative_to"):
+        pose.set("relative_to", frame)

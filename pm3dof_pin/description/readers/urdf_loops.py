@@ -198,7 +198,8 @@ class UrdfLoops:
             self._gazebo_joint(joint)
         for plugin in plugins:
             texts = {part.tag: (part.text or "").strip() for part in children(plugin)}
-            name, other = texts.get("joint", ""), texts["mimicJoint"]
+            # the mimic joint follows the joint
+            name, other = texts["mimicJoint"], texts.get("joint", "")
             for key, text in texts.items():
                 plugin.set(key, text)
             powers = (
@@ -206,7 +207,9 @@ class UrdfLoops:
                 self.reader.number(plugin, "multiplier", ANY, named(plugin), 1.0),
             )
             if not {name, other} <= self.tree.joint_by_name.keys():
-                self.reader.refuse(plugin, f"expected existing joints, not '{name}' and '{other}'")
+                self.reader.refuse(plugin, f"expected existing joints, not '{other}' and '{name}'")
+            elif not self.tree.joint_by_name[name].is_single:
+                self.reader.read_over(plugin, f"joint '{name}' is {self.tree.joint_by_name[name].type}")
             elif all(coupling.joint != name for coupling in self.couplings):  # usually <mimic> says the same
                 self.couplings.append(Coupling.from_powers(name, other, powers, plugin.origin))
         if not joints and not plugins:
