@@ -47,19 +47,17 @@ class CandidateInformation:
         if np.linalg.eigvalsh(inner)[0] < _NEARLY_ALONE:
             return CandidateInformation.from_rows(self.rows, information, self.tip)
         along, middle = self.inverse @ block.T, -sign * np.linalg.inv(inner)
-        flat = self.rows.reshape(-1, self.rows.shape[2])
-
-        def of_all(columns: Array) -> Array:
-            return np.asarray((flat @ columns).reshape(*self.rows.shape[:2], columns.shape[1]))
-
+        weighted = None if self.tip is None else self.tip @ along
+        columns = along if weighted is None else np.hstack([along, self.inverse @ weighted])
+        # the rows of all candidates are read once: memory limits this product
+        products = (self.rows.reshape(-1, self.rows.shape[2]) @ columns).reshape(*self.rows.shape[:2], -1)
         inverse = self.inverse + along @ middle @ along.T
-        shown = of_all(along)
+        shown = products[..., : along.shape[1]]
         moved = shown @ middle
         seen = self.seen + moved @ np.swapaxes(shown, 1, 2)
-        if self.tip is None or self.seen_tip is None:
+        if weighted is None or self.seen_tip is None:
             return CandidateInformation(self.rows, information, None, inverse, seen, None)
-        weighted = self.tip @ along
-        crossed = moved @ np.swapaxes(of_all(self.inverse @ weighted), 1, 2)
+        crossed = moved @ np.swapaxes(products[..., along.shape[1] :], 1, 2)
         twice = moved @ (along.T @ weighted) @ np.swapaxes(moved, 1, 2)
         seen_tip = self.seen_tip + crossed + np.swapaxes(crossed, 1, 2) + twice
         return CandidateInformation(self.rows, information, self.tip, inverse, seen, seen_tip)

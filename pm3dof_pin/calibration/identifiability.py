@@ -25,9 +25,9 @@ from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.measuring.instruments import planned_measurements
 from pm3dof_pin.measuring.measurements import with_joints
 from pm3dof_pin.measuring.nuisances import Nuisances
+from pm3dof_pin.measuring.observation import planned_measurements
 from pm3dof_pin.typing import Array
 
 REGRESSOR_TOLERANCE = 1e-11

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -34,7 +34,8 @@ from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.measuring.instruments import InstrumentName, placed_instrument, touching_poses
+from pm3dof_pin.measuring.instruments.table import placed_instrument
+from pm3dof_pin.measuring.observation import touching_poses
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.typing import Array, Indices, Mask
 
@@ -121,11 +122,12 @@ def plan_measurements(
     errors: GeometricErrors,
     poses: int | None = None,
     *,
-    instrument: Instrument | InstrumentName = "tracker",
+    instrument: Instrument | str = "tracker",
     sigma: float | None = None,
     point: tuple[float, float, float] | None = None,
     centres: tuple[tuple[float, float, float], ...] = (),
     known_centres: bool = False,
+    joints: tuple[str, ...] = (),
     length: float | None = None,
     method: Method = "lm",
     strategy: Strategy | None = None,
@@ -153,11 +155,12 @@ def plan_measurements(
     Args:
         errors: the parameters with their tolerances; the loops can close with them.
         poses: number of poses, 9 by default.
-        instrument: what is measured, or its name; see :mod:`pm3dof_pin.measuring.instruments`.
+        instrument: what is measured, or its name in :data:`pm3dof_pin.measuring.instruments.table.INSTRUMENTS`.
         sigma: for names: noise of a coordinate [m].
         point: for names: the ball, stylus or target, in tool axes [m].
         centres: for names: where distances start, or the instrument is, base axes [m].
         known_centres: for names: whether the centres were measured beforehand; otherwise they are estimated.
+        joints: for names: passive joints that are locked.
         length: for names: length of a ballbar [m].
         method: calibration method, which determines the strategy.
         strategy: another strategy.
@@ -186,11 +189,16 @@ def plan_measurements(
             drawn = more[np.arange(min(candidates, len(more)))] if len(more) > len(drawn) else drawn
     tests = _declared(reachable_poses(robot, min(candidates, _TESTS), generator))
     if isinstance(instrument, str):
-        given = {} if length is None else {"length": length}
-        instrument = placed_instrument(instrument, drawn, sigma=sigma, point=point, centres=centres, **given)
-        if known_centres and not (centres and instrument.centres):
-            raise InvalidValueError("known centres", problem="are not given", expected="those of wires or a ballbar")
-        instrument = replace(instrument, known_centres=known_centres)
+        instrument = placed_instrument(
+            instrument,
+            drawn,
+            sigma=sigma,
+            point=point,
+            centres=centres,
+            length=length,
+            known_centres=known_centres,
+            joints=joints,
+        )
     choices = touching_poses(drawn, instrument)
     choices = _declared(choices) if among is None else choices
     near_singular, sizes = 0, np.zeros(len(choices))

@@ -18,9 +18,10 @@ from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.datum import Datum
+from pm3dof_pin.measuring.instruments.sphere import SPHERE
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
-from pm3dof_pin.measuring.registration import fitted_sphere
 from pm3dof_pin.typing import Array
 
 _LENGTHS = {"millimetres": 1e-3, "inches": 25.4e-3, "centimetres": 1e-2}
@@ -195,14 +196,18 @@ def _fixed_points(measurements: Measurements, nominal: Poses, eta: float) -> Ite
     origins, distances, partners = measurements.origins, measurements.distances, measurements.partners
     if origins is None or distances is None or partners is None:
         return
-    fixed, centres, spheres = np.isfinite(distances) & (partners < 0), origins.copy(), np.full(len(measurements), -1)
+    fixed, places, datums = np.isfinite(distances) & (partners < 0), [], []
+    first = 1 + max((datum.number for datum in measurements.datums), default=0)
     for number, place in enumerate(np.unique(origins[fixed], axis=0)):
         rows = fixed & (origins == place).all(axis=1)
         if rows.sum() >= _MIN_ROWS:
-            centres[rows], spheres[rows] = fitted_sphere(measurements.points_on(nominal)[rows], distances[rows]), number
-    words = "), (".join(map(millimetres, np.unique(centres[fixed], axis=0)))
+            values = np.where(rows, distances, np.nan)[:, None]
+            datums.append(Datum.fitted(SPHERE, first + number, measurements.points_on(nominal), values))
+            distances, place = np.where(rows, np.nan, distances), datums[-1].origin
+        places.append(place)
+    words = "), (".join(map(millimetres, places))
     text = f"the fixed points are not where the file has them, but at about ({words}) mm"
-    yield Mistake(text, replace(measurements, origins=centres, spheres=spheres))
+    yield Mistake(text, replace(measurements, distances=distances, datums=(*measurements.datums, *datums)))
 
 
 def _counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:

@@ -21,12 +21,11 @@ from pm3dof_pin.calibration.recheck import Recheck, recheck
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import CalibrationRefusedError
 from pm3dof_pin.files import csv_text, write_text_atomically
-from pm3dof_pin.measuring.datum import DATUM_KINDS
+from pm3dof_pin.measuring.instruments.table import datum_kinds
 from pm3dof_pin.measuring.measurement_file import command_columns, read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 
-_NUMBERED = ("sphere", *DATUM_KINDS)
 _POINT = ("px_m", "py_m", "pz_m")
 _SESSION = ("time_s", "approach_u")
 
@@ -70,17 +69,20 @@ def updated(
         raise CalibrationRefusedError([f"{differing}: known in one session only; expected in both or in none"])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / MEASUREMENTS
-        _write_union(old, _in_base_axes(known, measurements), known, path)
+        _write_union(old, _seen_from_a_station(known, measurements), known, path)
         errors = GeometricErrors.load(robot.source, tool_frame=robot.tool_frame)
         options = Options(summary["method"], summary["seed"], summary["eta_m_per_rad"])
-        return calibrate(path, errors, options), found
+        return calibrate(path, errors, options, own_frame="base_in_instrument_frame" in summary), found
 
 
-def _in_base_axes(known: Compensation, measurements: Measurements) -> Measurements:
+def _seen_from_a_station(known: Compensation, measurements: Measurements) -> Measurements:
+    """Return rows of an instrument's own frame, placed by the calibrated machine, as those of a station."""
     if measurements.registration is None:
         return measurements
     machine = known.poses(known.errors.robot.forward(measurements.commands), dict(measurements.conditions))
-    return replace(measurements.in_axes(measurements.registered_at(machine)), registration=None)
+    placed = replace(measurements.in_axes(measurements.registered_at(machine)), registration=None)
+    stations = np.zeros(len(placed), dtype=np.intp) if placed.stations is None else placed.stations
+    return replace(placed, stations=stations + 1)
 
 
 def _write_union(old: Measurements, new: Measurements, known: Compensation, path: Path) -> None:
@@ -91,7 +93,7 @@ def _write_union(old: Measurements, new: Measurements, known: Compensation, path
         write_measurements(measurements, robot, own)
         tables.append(_columns(own))
     counts = [len(table[command_columns(robot)[0]]) for table in tables]
-    for name in _NUMBERED:
+    for name in ("station", *datum_kinds()):
         if all(name in table for table in tables):
             tables[1][name] = tables[1][name] + np.nanmax(tables[0][name])
     names = list(dict.fromkeys(name for table in tables for name in table if not name.startswith(_SESSION)))

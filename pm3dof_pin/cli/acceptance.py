@@ -10,22 +10,28 @@ import typer
 from pm3dof_pin.cli.options import ColumnsOf, Json, RobotOptions
 from pm3dof_pin.cli.output import print_result, table_lines
 
-_Test: TypeAlias = Literal["positioning", "diagonals", "circular", "probing"]
-_Six: TypeAlias = tuple[float, float, float, float, float, float]
-_Four: TypeAlias = tuple[float, float, float, float]
+TestName: TypeAlias = Literal["positioning", "diagonals", "circular", "probing"]
+"""Tests of ISO 230-2, -6, -4 and -10."""
+
+LineEnds: TypeAlias = tuple[float, float, float, float, float, float]
+"""Two points, base axes [m]."""
+
+CentreAndRadius: TypeAlias = tuple[float, float, float, float]
+"""A circle or sphere, base axes [m]."""
 
 
 def acceptance(
     action: Annotated[Literal["plan", "evaluate"], typer.Argument(help="What to do.", show_default=False)],
-    test: Annotated[_Test, typer.Argument(help="Which test of ISO 230.", show_default=False)],
+    test: Annotated[TestName, typer.Argument(help="Which test of ISO 230.", show_default=False)],
     which: RobotOptions,
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="evaluate: what was measured (CSV).")] = None,
     line: Annotated[
-        _Six | None,
+        LineEnds | None,
         typer.Option(metavar="X Y Z X Y Z", help="plan: ends of a line, or opposite corners of a box, base axes [m]."),
     ] = None,
     circle: Annotated[
-        _Four | None, typer.Option(metavar="X Y Z R", help="plan: centre and radius of a circle or sphere [m].")
+        CentreAndRadius | None,
+        typer.Option(metavar="X Y Z R", help="plan: centre and radius of a circle or sphere [m]."),
     ] = None,
     targets: Annotated[int, typer.Option(min=5, help="plan: targets on a line.")] = 5,
     runs: Annotated[int, typer.Option(min=2, help="plan: runs from each side, or rounds in each direction.")] = 5,
@@ -84,7 +90,7 @@ def acceptance(
     result = {"robot": which.load().name} | found.as_data()
     path = write_text_atomically(out.with_suffix(".json"), json.dumps(result, indent=2) + "\n")
     rows = [
-        [name, f"{1e6 * value:.1f}", f"{1e6 * found.uncertainties[name]:.1f}"] for name, value in found.values.items()
+        [name, f"{1e6 * value:z.1f}", f"{1e6 * found.uncertainties[name]:z.1f}"] for name, value in found.values.items()
     ]
     lines = [f"{STANDARDS[test]}, {found.readings} readings", *table_lines(["result", "[µm]", "U, k = 2"], rows)]
     print_result(result, lines, as_json=as_json, files=[path])

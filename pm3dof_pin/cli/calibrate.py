@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
+from pm3dof_pin.cli.instrument_options import TargetOffsets
 from pm3dof_pin.cli.options import ColumnsOf, Json, RobotErrorsOptions
 from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import PictureFormat, save
@@ -25,9 +26,6 @@ _ROOMS = ("pm3dof_pin.csv_table", "pm3dof_pin.measuring", "pm3dof_pin.calibratio
 
 MethodName: TypeAlias = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
 """Calibration methods."""
-
-TargetOffsets: TypeAlias = Literal["fixed", "estimate"]
-"""Whether target positions are estimated or taken from the file."""
 
 
 def calibrate(
@@ -125,12 +123,12 @@ def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as
     folder = found.save(out)
     summary = found.summary()
     low, high = (1e6 * value for value in summary["height_error_held_out_95_percent_interval_m"])
-    sizes = ", ".join(f"{1e6 * value:.0f} µm with {count}" for count, value in summary["held_out_rms_m"].items())
+    sizes = ", ".join(f"{1e6 * value:z.0f} µm with {count}" for count, value in summary["held_out_rms_m"].items())
     far = f" and {summary['distances']} distances" if summary["distances"] else ""
     lines = [
         f"{summary['firmware']}, {summary['touches']} touches{far}",
         f"error of a touch, held out: {sizes} parameters; {summary['parameters_chosen']} are taken",
-        f"height error, rms: {1e6 * summary['height_error_before_rms_m']:.0f} µm before, "
+        f"height error, rms: {1e6 * summary['height_error_before_rms_m']:z.0f} µm before, "
         f"{1e6 * summary['height_error_held_out_rms_m']:.0f} µm after ({low:.0f} to {high:.0f} with 95 % probability)",
         *(f"not determined by these touches: {words}" for words in summary["not_determined"]),
     ]
@@ -143,7 +141,7 @@ def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as
     rows = []
     for name, change in summary["changes"].items():
         scale, unit = scales[change["unit"]]
-        rows.append([name, f"{scale * change['value']:+.4f}", f"{scale * change['sigma_of_the_data']:.4f}", unit])
+        rows.append([name, f"{scale * change['value']:+.4f}", f"{scale * change['sigma_of_the_data']:z.4f}", unit])
     lines += ["", *table_lines(["parameter", "change", "sigma", "unit"], rows)]
     print_result({"directory": str(folder)} | summary, lines, as_json=as_json)
     message(f"wrote {folder / file.name}")
@@ -180,7 +178,7 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
                 if calibration.options.identifies
                 else "no parameters identified: corrections are learned from the deviations of the commands",
                 *named,
-                f"noise factor {found.noise_factor:.2f}",
+                f"noise factor {found.noise_factor:z.2f}",
             ]
         ),
     ]
@@ -193,7 +191,7 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
     for kind in ("drift", "hysteresis"):
         if (moved := summary.get(kind)) is not None and moved["more_than_chance"]:
             size, sigma = (1e6 * moved[key] for key in ("tip_error_m", "tip_sigma_m"))
-            lines.append(f"{kind} moved the tool by {size:.0f} ± {sigma:.0f} µm (tip error, rms)")
+            lines.append(f"{kind} moved the tool by {size:z.0f} ± {sigma:z.0f} µm (tip error, rms)")
     if summary.get("validation") is None and summary.get("held_out") is None:
         return [*lines, "too few poses for a cross-validation"]
     shown = measured["error_seen"]
@@ -204,5 +202,5 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
             for key, text in ACCURACIES.items():
                 if (between := summary[kind].get(key, {}).get("rms_95_percent_interval")) is not None:
                     low, high = (1e6 * value for value in between)
-                    lines.append(f"{text}, rms of this machine: {low:.1f} to {high:.1f} with 95 % probability")
+                    lines.append(f"{text}, rms of this machine: {low:z.1f} to {high:z.1f} with 95 % probability")
     return lines

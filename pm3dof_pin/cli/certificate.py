@@ -40,8 +40,8 @@ def certificate(
     rows = []
     for each in found.data["statements"]:
         uncertainty = each["expanded_uncertainty_k2_m"]
-        known = "not stated" if uncertainty is None else f"{1e6 * uncertainty:.1f}"
-        rows.append([each["symbol"], f"{1e6 * each['value_m']:.1f}", known, each["decision"]])
+        known = "not stated" if uncertainty is None else f"{1e6 * uncertainty:z.1f}"
+        rows.append([each["symbol"], f"{1e6 * each['value_m']:z.1f}", known, each["decision"]])
     lines = table_lines(["statement", "[µm]", "U, k = 2", "decision"], rows)
     print_result(
         found.data,

@@ -195,9 +195,9 @@ def _lines(robot: Robot, answer: Compensated) -> list[str]:
     rows = [
         [
             command.name,
-            f"{factor * u:.9f}",
-            f"{factor * nominal:.9f}",
-            f"{1e6 * (u - nominal) / size:.2f}",
+            f"{factor * u:z.9f}",
+            f"{factor * nominal:z.9f}",
+            f"{1e6 * (u - nominal) / size:z.2f}",
         ]
         for command, factor, u, nominal, size in zip(
             robot.commands, factors, answer.commands[0], answer.nominal_commands[0], sizes, strict=True
@@ -205,7 +205,7 @@ def _lines(robot: Robot, answer: Compensated) -> list[str]:
     ]
     lines = table_lines(["drive", f"command [{unit}]", f"nominal [{unit}]", f"difference [{small}]"], rows)
     expected, bound = 1e6 * answer.predicted_error[0], 1e6 * answer.error_bound[0]
-    return [*lines, f"expected tip error: {expected:.1f} µm; below {bound:.1f} µm with 95 % probability"]
+    return [*lines, f"expected tip error: {expected:z.1f} µm; below {bound:z.1f} µm with 95 % probability"]
 
 
 def _conditions(words: list[str]) -> dict[str, float]:

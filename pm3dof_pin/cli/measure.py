@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,20 +9,25 @@ import numpy as np
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
+from pm3dof_pin.cli.instrument_options import InstrumentOptions
 from pm3dof_pin.cli.options import Json, KnownWrenches, RobotErrorsOptions
 from pm3dof_pin.cli.output import message, print_result
+from pm3dof_pin.errors.pose_error import rotation_matrix
 from pm3dof_pin.exceptions import ConvergenceError, OutputError, PM3DofError, UnreachablePoseError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurement_file import read_plan, write_measurements
+from pm3dof_pin.measuring.registration import Registration
 from pm3dof_pin.simulation.worlds import World
 from pm3dof_pin.typing import Array, Mask
 
 _POSES = 60
+_STANDING, _AWAY = 1, 10.0  # of the random numbers; times the machine's size
 
 
 def measure(
     which: RobotErrorsOptions,
+    seen: InstrumentOptions,
     out: Annotated[Path, typer.Option(help="Output file (CSV).")] = Path("results/measurements.csv"),
     poses: Annotated[
         int | None, typer.Option(min=1, help="Number of random poses within all joint limits (60).")
@@ -46,8 +50,6 @@ def measure(
     ] = False,
     machine: Annotated[int, typer.Option(min=0, help="Seed of the machine; the same seed gives the same machine.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the poses, temperatures and noise.")] = 0,
-    noise: Annotated[float, typer.Option(help="Standard deviation of a tracker target's coordinates [m].")] = 15e-6,
-    positions: Annotated[bool, typer.Option("--positions", help="Measure positions only, not full poses.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the output file if it exists.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -67,9 +69,7 @@ def measure(
     truth = World.random(world, fitting, np.random.default_rng(machine)).loaded(load, wrench or (0.0,) * 6, large=large)
     if only is not None:
         truth = truth.only(only)
-    instrument = Instrument.with_targets(noise)
-    if positions:
-        instrument = replace(instrument, measured="position")
+    instrument = seen.placed(errors.robot.forward(commands))
     before = generator.bit_generator.state
     try:
         measurements = truth.measure(commands, generator, instrument, given)
@@ -84,11 +84,22 @@ def measure(
         message(f"pm3dof: {problem}")
         given = given and {name: values[taken] for name, values in given.items()}
         measurements = truth.measure(commands[taken], generator, instrument, given)
+    if seen.own_frame:
+        measurements = measurements.in_axes(_standing(machine, errors.robot))
     path = write_measurements(measurements, errors.robot, out)
     result = {"robot": errors.robot.name, "file": str(path), "poses": len(measurements)}
-    result |= {"measured": measurements.measured, "machine": machine}
-    print_result(result, [f"{len(measurements)} poses of machine {machine}, world '{world}'"], as_json=as_json)
+    result |= {"measured": measurements.measured, "machine": machine, "instrument": seen.instrument}
+    rows = "poses" if seen.sees_whole_poses else f"rows ({seen.instrument})"
+    print_result(result, [f"{len(measurements)} {rows} of machine {machine}, world '{world}'"], as_json=as_json)
     message(f"wrote {path}")
+
+
+def _standing(machine: int, robot: Robot) -> Registration:
+    """Return where a tracker of its own frame stands: level, some metres away, turned anyhow."""
+    generator = np.random.default_rng([machine, _STANDING])
+    turn = rotation_matrix(generator.uniform(-np.pi, np.pi) * np.eye(3)[2])
+    away = generator.uniform(-1.0, 1.0, 3) * _AWAY * robot.characteristic_length
+    return Registration(turn, away, 0.0)
 
 
 def _taken(truth: World, commands: Array) -> Mask:

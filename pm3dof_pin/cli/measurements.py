@@ -128,7 +128,7 @@ def _check(file: Path, robot: Robot, columns: Any, *, own_frame: bool, as_json: 
         + f"{found['rows']} rows",
         f"{kinds}, at {found['different_commands']} different commands",
         f"to be estimated besides the machine: {', '.join(beside) or 'nothing'}",
-        *([f"{1e6 * off:.0f} µm (median) from the described machine"] if off is not None else []),
+        *([f"{1e6 * off:z.0f} µm (median) from the described machine"] if off is not None else []),
         "",
         *table_lines(["column", "heading", "least", "greatest", "empty"], rows, words=2),
     ]

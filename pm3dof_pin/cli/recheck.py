@@ -49,12 +49,12 @@ def recheck(
     earlier = read_history(calibration)
     units = [command.unit for command in robot.commands]
     rows = [
-        [f"u{k}", *(f"{1e6 * value:.1f}" for value in values), "µm" if unit == "m" else "µrad"]
+        [f"u{k}", *(f"{1e6 * value:z.1f}" for value in values), "µm" if unit == "m" else "µrad"]
         for k, (*values, unit) in enumerate(
             zip(found.zeros, found.zero_sigmas, found.detectable, units, strict=True), start=1
         )
     ]
-    chances = ", ".join(f"{verdict} {100.0 * chance:.1f} %" for verdict, chance in found.probabilities.items())
+    chances = ", ".join(f"{verdict} {100.0 * chance:z.1f} %" for verdict, chance in found.probabilities.items())
     kept, zeroed = (1e6 * value for value in (found.off_if_kept, found.off_if_zeroed))
     lines = [
         f"{found.verdict} ({chances}), from {found.rows} rows",

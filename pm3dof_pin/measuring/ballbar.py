@@ -19,7 +19,7 @@ from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
-from pm3dof_pin.measuring.instruments import BALLBAR_LENGTH
+from pm3dof_pin.measuring.instruments.sphere import BALLBAR_LENGTH
 from pm3dof_pin.measuring.measurement_file import command_columns
 from pm3dof_pin.typing import Array
 
@@ -121,6 +121,9 @@ def ballbar_columns(
         angles = circle.start + turn * (circle.feed or 0.0) / circle.length * (table[_TIME] - table[_TIME].min())
     else:
         angles = table[_ANGLE]
+        if len(angles) > 1 and turn * float(np.median(np.diff(angles))) < 0.0:
+            falls = "fall, which is clockwise" if turn > 0.0 else "rise, which is counter-clockwise"
+            raise MeasurementError(table.path, f"{_ANGLE}: they {falls}, and the trace is said to be {circle.sense}")
     chosen = np.unique(np.linspace(0, len(table) - 1, min(samples, len(table))).round().astype(int))
     angles, readings = angles[chosen], table[_READING][chosen]
     commands, before = (_commands(robot, circle.points(angles - back)) for back in (0.0, turn * _STEP))

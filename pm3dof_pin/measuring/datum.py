@@ -1,26 +1,16 @@
 """Datums: what a row is measured against, where its own placement is not known.
 
-With X the point seen in the axes of the datum, a row measures some coordinates g(X) [m]:
-
-========  ============================  =====================================  ======================
-kind      what                          g                                      unknown placement
-========  ============================  =====================================  ======================
-plane     touched, or a height above    Z                                      Z, turns about X and Y
-line      wire, straight edge, bore     X, Y                                   X, Y, turns about them
-socket    ball held in a seat           X, Y, Z                                X, Y, Z
-camera    a target in its image         depth times X/Z, Y/Z                   all six
-========  ============================  =====================================  ======================
-
-A placement has no prior and is estimated with the machine; moving a datum is equivalent to an apparent motion of the
-point. It starts from the fit to the machine as described. A camera's image coordinates are multiplied by the described
-depth, so that all rows are lengths across the line of sight.
+With X the point seen in the axes of the datum, a row measures some coordinates g(X) [m], as its :class:`DatumKind`
+says; the kinds are with the instruments, in :mod:`pm3dof_pin.measuring.instruments`. A placement has no prior and is
+estimated with the machine; moving a datum is equivalent to an apparent motion of the point. It starts from the fit to
+the machine as described. A camera's image coordinates are multiplied by the described depth, so that all rows are
+lengths across the line of sight.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -30,97 +20,57 @@ from pm3dof_pin.typing import Array, Indices, Mask
 
 _MAX_ROUNDS = 50
 _SETTLED = 1e-12  # [m, rad]
-_FLAT = 1e-3  # of the greatest extent: too flat for a camera's placement
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
-_DAMPING = 1e-12
+_DAMPING, _FASTER = 1e-12, 100.0
+
+
+def _nothing(cells: Array) -> tuple[Array, Array | float]:
+    return np.zeros((len(cells), 3)), 1.0
+
+
+def _no_cells(numbers: Array) -> Array:
+    return np.zeros((len(numbers), 0))
 
 
 @dataclass(frozen=True)
 class DatumKind:
-    """One kind of datum: what it measures of a point in its axes, and which part of its placement matters."""
+    """One kind of datum: what it measures of a point in its axes, what of its placement matters, how a file says it."""
 
+    name: str  #: of the column with the number of the datum, 1, 2 ...
     dimension: int  #: coordinates of a row
     moves: tuple[int, ...]  #: components of the twist of its placement that matter, of x, y, z, rx, ry, rz
     min_rows: int  #: least number of rows
     measured: Callable[[Array], Array]  #: g of points in its axes, shape=(n, 3) to (n, dimension)
     gradient: Callable[[Array], Array]  #: derivative of g, shape=(n, dimension, 3)
     start: Callable[[Array, Array], list[tuple[Array, Array]]]  #: placements from points and numbers measured
+    columns: tuple[str, ...] = ()  #: columns of a row beside its number
+    needed: bool = False  #: whether these columns must be there, and complete
+    sigma_column: str = "sigma_touch_m"  #: column of its noise
+    usual_sigma: float | None = None  #: noise without that column, in its unit; by default the instrument's [m]
+    #: numbers measured, shape=(n, 3) of which `dimension` are used, and their change by a unit of the noise's column,
+    #: from the cells of `columns`, shape=(n, columns)
+    read: Callable[[Array], tuple[Array, Array | float]] = _nothing
+    written: Callable[[Array], Array] = _no_cells  #: cells of `columns` that say these numbers with a change of 1
+    through_a_lens: bool = False  #: whether g is of directions, so that a row is a length only at its depth, Z
 
 
-def _constant(rows: Array) -> Callable[[Array], Array]:
+def constant(rows: Array) -> Callable[[Array], Array]:
+    """Return the gradient of linear coordinates, given as rows, shape=(dimension, 3)."""
     return lambda points: np.tile(rows, (len(points), 1, 1))
 
 
-def _image(points: Array) -> Array:
-    return np.asarray(points[:, :2] / points[:, 2:])
-
-
-def _image_gradient(points: Array) -> Array:
-    x, y, z = points.T
-    nothing = np.zeros_like(x)
-    return np.stack([np.stack([1.0 / z, nothing, -x / z**2], 1), np.stack([nothing, 1.0 / z, -y / z**2], 1)], axis=1)
-
-
-def _principal_axes(points: Array) -> Array:
+def principal_axes(points: Array) -> Array:
     """Return axes of a cloud of points as rows, the last one being that of its least extent, shape=(3, 3)."""
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)[2]
     axes[2] = np.cross(axes[0], axes[1])
     return np.asarray(axes)
 
 
-def _plane_start(points: Array, values: Array) -> list[tuple[Array, Array]]:
-    axes, centre = _principal_axes(points), points.mean(axis=0)
-    upward = axes if axes[2] @ np.ones(3) >= 0.0 else np.array([axes[0], -axes[1], -axes[2]])
-    starts = [upward, np.eye(3)] if not np.ptp(values) else [upward, upward * [[1.0], [-1.0], [-1.0]], np.eye(3)]
-    return [(each, centre - values.mean() * each[2]) for each in starts]
-
-
-def _line_start(points: Array, values: Array) -> list[tuple[Array, Array]]:
-    axes = _principal_axes(points)
-    return [(axes[[1, 2, 0]], points.mean(axis=0))]
-
-
-def _socket_start(points: Array, values: Array) -> list[tuple[Array, Array]]:
-    return [(np.eye(3), points.mean(axis=0))]
-
-
-def _camera_start(points: Array, values: Array) -> list[tuple[Array, Array]]:
-    """Resection by the direct linear transformation (I. Sutherland, 1974), about the middle of the points."""
-    middle = points.mean(axis=0)
-    size = np.linalg.norm(points - middle, axis=1).max()
-    extents = np.linalg.svd((points - middle) / size, compute_uv=False)
-    if extents[-1] < _FLAT * extents[0]:
-        raise InvalidValueError("camera", problem="sees points in one plane", expected="points at different depths")
-    whole = np.column_stack([(points - middle) / size, np.ones(len(points))])
-    nothing = np.zeros_like(whole)
-    u, v = values.T[:, :, None]
-    matrix = np.concatenate([np.hstack([whole, nothing, -u * whole]), np.hstack([nothing, whole, -v * whole])])
-    projection = np.linalg.svd(matrix)[2][-1].reshape(3, 4)
-    left, scales, right = np.linalg.svd(projection[:, :3])
-    turn = left @ right
-    sign = np.sign(np.linalg.det(turn))
-    axes, shift = sign * turn, sign * projection[:, 3] / scales.mean() * size
-    return [(axes, middle - axes.T @ shift)]
-
-
-_Z, _XY = np.eye(3)[2:], np.eye(3)[:2]
-
-DATUM_KINDS = MappingProxyType(
-    {
-        "plane": DatumKind(1, (2, 3, 4), 4, lambda x: x[:, 2:], _constant(_Z), _plane_start),
-        "line": DatumKind(2, (0, 1, 3, 4), 3, lambda x: x[:, :2], _constant(_XY), _line_start),
-        "socket": DatumKind(3, (0, 1, 2), 2, lambda x: x, _constant(np.eye(3)), _socket_start),
-        "camera": DatumKind(2, (0, 1, 2, 3, 4, 5), 6, _image, _image_gradient, _camera_start),
-    }
-)
-"""The kinds, by the column that holds their numbers."""
-
-
 @dataclass(frozen=True, eq=False)
 class Datum:
     """A datum, and what rows of measurements measure against it. Immutable."""
 
-    kind: str  #: of :data:`DATUM_KINDS`
+    kind: DatumKind  #: what it is
     number: int  #: its number in the file
     axes: Array  #: its axes as rows, in those of the base, shape=(3, 3)
     origin: Array  #: its origin in the base, shape=(3,) [m]
@@ -129,43 +79,61 @@ class Datum:
     scales: Array
 
     @classmethod
-    def fitted(cls, kind: str, number: int, points: Array, values: Array) -> Datum:
+    def fitted(cls, kind: DatumKind, number: int, points: Array, values: Array) -> Datum:
         """Place a datum by least squares.
 
         Args:
-            kind: of :data:`DATUM_KINDS`.
+            kind: what it is.
             number: its number.
             points: where the described machine has the point seen, shape=(n, 3) [m].
             values: numbers measured, NaN in other rows, shape=(n, dimension) [m]; X/Z and Y/Z for a camera.
 
         Raises:
-            InvalidValueError: too few rows, or points in one plane for a camera.
+            InvalidValueError: too few rows, points in one plane for a camera, or numbers without any placement.
         """
         own = np.isfinite(values).all(axis=1)
-        entry = DATUM_KINDS[kind]
-        if own.sum() < entry.min_rows:
-            raise InvalidValueError(
-                kind, problem=f"{number} has {own.sum()} rows", expected=f"at least {entry.min_rows}"
-            )
-        flat = np.ones(len(points))
+        if own.sum() < kind.min_rows:
+            problem = f"{number} has {own.sum()} rows"
+            raise InvalidValueError(kind.name, problem=problem, expected=f"at least {kind.min_rows}")
+        nowhere = InvalidValueError(kind.name, problem=f"{number} is nowhere", expected="numbers of its size")
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                found = cls._nearest(kind, number, points, values)
+        except np.linalg.LinAlgError as error:
+            raise nowhere from error
+        if not np.isfinite([*found.origin, *found.axes.ravel()]).all():
+            raise nowhere
+        return found.at_its_depth(points)
+
+    @classmethod
+    def _nearest(cls, kind: DatumKind, number: int, points: Array, values: Array) -> Datum:
+        """Return the datum at the placement of least squares, of those that its kind starts from."""
+        own, flat = np.isfinite(values).all(axis=1), np.ones(len(points))
         fits: list[tuple[float, int, Datum]] = []
-        for axes, origin in entry.start(points[own], values[own]):
-            datum = cls(kind, number, axes, origin, values, flat)
+        for axes, origin in kind.start(points[own], values[own]):
+            datum, damping = cls(kind, number, axes, origin, values, flat), _DAMPING
             for _ in range(_MAX_ROUNDS):
-                rows = datum.by_placement(points)[own].reshape(-1, len(entry.moves))
+                rows = datum.by_placement(points)[own].reshape(-1, len(kind.moves))
                 off = datum.residuals(points)[own].ravel()
-                # a placement may be undetermined in part: a plane that is touched along a line
-                normal = rows.T @ rows + _DAMPING * np.trace(rows.T @ rows) * np.eye(rows.shape[1])
+                # a placement may be undetermined in part: a plane touched along a line, a socket amid a circle
+                normal = rows.T @ rows + damping * np.trace(rows.T @ rows) * np.eye(rows.shape[1])
                 step = np.linalg.solve(normal, rows.T @ off)
-                datum = datum.moved(step)
+                moved = datum.moved(step)
                 if np.abs(step).max() < _SETTLED:
                     break
-            fits.append((float(np.sum(datum.residuals(points)[own] ** 2)), len(fits), datum))
-        best = min(fits)[2]
-        if kind != "camera":
-            return best
-        depths = np.where(own, best._own(points)[:, 2], 1.0)
-        return replace(best, scales=depths, values=values * depths[:, None])
+                if moved._misfit(points) > datum._misfit(points):
+                    damping = _FASTER * damping
+                else:
+                    datum, damping = moved, max(_DAMPING, damping / _FASTER)
+            fits.append((datum._misfit(points), len(fits), datum))
+        return min(fits)[2]
+
+    def at_its_depth(self, points: Array) -> Datum:
+        """Return the datum with lengths as numbers: directions, if it is a lens, multiplied by the depth of points."""
+        if not self.kind.through_a_lens:
+            return self
+        depths = np.where(self.rows, self._own(points)[:, 2], 1.0)
+        return replace(self, scales=depths, values=self.values * depths[:, None])
 
     @property
     def numbers(self) -> Array:
@@ -180,7 +148,7 @@ class Datum:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters of its placement."""
-        return tuple(f"{self.kind}{self.number}.{_TWIST[k]}" for k in DATUM_KINDS[self.kind].moves)
+        return tuple(f"{self.kind.name}{self.number}.{_TWIST[k]}" for k in self.kind.moves)
 
     def __getitem__(self, chosen: Indices) -> Datum:
         """Return the datum for some rows."""
@@ -189,7 +157,7 @@ class Datum:
     def residuals(self, points: Array) -> Array:
         """Return measured minus predicted numbers for points, one for each row, shape=(n, dimension) [m]."""
         with np.errstate(divide="ignore", invalid="ignore"):  # in rows of others
-            found = self.values - self.scales[:, None] * DATUM_KINDS[self.kind].measured(self._own(points))
+            found = self.values - self.scales[:, None] * self.kind.measured(self._own(points))
         return np.where(self.rows[:, None], found, 0.0)
 
     def directions(self, points: Array) -> Array:
@@ -201,16 +169,12 @@ class Datum:
 
         The placement moves by a twist [v; omega] in the datum's own axes; see `moves` of :class:`DatumKind`.
         """
-        x, y, z = self._own(points).T
-        nothing = np.zeros_like(x)
-        cross = np.stack([[nothing, -z, y], [z, nothing, -x], [-y, x, nothing]]).transpose(2, 0, 1)
-        whole = np.concatenate([np.tile(-np.eye(3), (len(points), 1, 1)), cross], axis=2)
-        return np.asarray((self._gradient(points) @ whole)[:, :, DATUM_KINDS[self.kind].moves])
+        return np.asarray(self._gradient(points) @ self._away(points))
 
     def moved(self, values: Array) -> Datum:
         """Return the datum at another placement, shape=(k,) [m, rad]; see :meth:`by_placement`."""
         twist = np.zeros(6)
-        twist[list(DATUM_KINDS[self.kind].moves)] = values
+        twist[list(self.kind.moves)] = values
         turned = rotation_matrix(twist[3:]).T @ self.axes
         return replace(self, origin=self.origin + self.axes.T @ twist[:3], axes=turned)
 
@@ -220,12 +184,22 @@ class Datum:
 
     def apparent_motions(self, points: Array) -> Array:
         """Return the motions of the points that look like the datum's, shape=(n, 3, k)."""
-        found = np.linalg.pinv(self.directions(points)) @ self.by_placement(points)
-        return np.asarray(found * self.rows[:, None, None])
+        return np.asarray(self.axes.T @ self._away(points) * self.rows[:, None, None])
+
+    def _away(self, points: Array) -> Array:
+        """Return the motions of the points seen from a datum that moves, in its own axes, shape=(n, 3, k)."""
+        x, y, z = self._own(points).T
+        nothing = np.zeros_like(x)
+        cross = np.stack([[nothing, -z, y], [z, nothing, -x], [-y, x, nothing]]).transpose(2, 0, 1)
+        whole = np.concatenate([np.tile(-np.eye(3), (len(points), 1, 1)), cross], axis=2)
+        return np.asarray(whole[:, :, self.kind.moves])
+
+    def _misfit(self, points: Array) -> float:
+        return float(np.sum(self.residuals(points) ** 2))
 
     def _own(self, points: Array) -> Array:
         return np.asarray((points - self.origin) @ self.axes.T)
 
     def _gradient(self, points: Array) -> Array:
         own = np.where(self.rows[:, None], self._own(points), 1.0)
-        return np.asarray(self.scales[:, None, None] * DATUM_KINDS[self.kind].gradient(own))
+        return np.asarray(self.scales[:, None, None] * self.kind.gradient(own))

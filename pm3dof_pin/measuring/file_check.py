@@ -11,9 +11,11 @@ import numpy as np
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
+from pm3dof_pin.measuring.instruments.table import datum_kinds
 from pm3dof_pin.measuring.measurement_file import command_columns, read_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances
+from pm3dof_pin.typing import Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,19 +56,24 @@ class FileCheck:
         """Return the number of rows of each kind, those without any left out."""
         found, seen = self.measurements, self.measurements.seen
         tool = seen[:, : found.tool_columns]
+        tool = tool & ~found.on_datums[:, None]
         distance = np.zeros(len(found), dtype=bool) if found.distances is None else np.isfinite(found.distances)
         position = tool[:, :3].all(axis=1)
         turned = tool[:, 3:].any(axis=1)
-        spheres = np.zeros(len(found), dtype=bool) if found.spheres is None else found.spheres >= 0
         begun = np.zeros(len(found), dtype=bool) if found.partners is None else found.partners >= 0
+        none = np.zeros(len(found), dtype=bool)
+
+        def rows_on(kind: str) -> Mask:
+            return np.asarray(np.any([none, *(each.rows for each in found.datums if each.kind.name == kind)], axis=0))
+
         kinds = {
             "poses": position & turned,
             "positions": position & ~turned,
             "orientations": ~tool[:, :3].any(axis=1) & turned,
             "single coordinates": tool[:, :3].any(axis=1) & ~position & ~distance,
-            "distances from fixed points": distance & ~spheres & ~begun,
+            "distances from fixed points": distance & ~begun,
             "distances between two commands": distance & begun,
-            "touches of spheres": distance & spheres,
+            **{f"rows of a {kind}": rows_on(kind) for kind in datum_kinds()},
             "encoder readings": seen[:, found.tool_columns :].any(axis=1),
         }
         return {kind: int(rows.sum()) for kind, rows in kinds.items() if rows.any()}

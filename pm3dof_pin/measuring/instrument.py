@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.measuring.datum import Datum, DatumKind
 from pm3dof_pin.typing import Array
 
 Measured = Literal["pose", "position"]
+Point: TypeAlias = tuple[float, float, float]
 
 TARGET_SIGMA = 15e-6
 """Noise of each coordinate of a laser tracker's target [m]."""
@@ -19,6 +22,20 @@ ENCODER_ZERO = {"m": 5e-3, "rad": 5e-2}
 TARGET_COUNT = 4
 TARGET_RADIUS = 0.15
 """Distance of the targets from the tool point [m]."""
+
+
+@dataclass(frozen=True)
+class PlacedDatum:
+    """Something that points are measured against, and about where it is."""
+
+    kind: DatumKind  #: what it is
+    origin: Point  #: about where, base axes [m]
+    axes: tuple[Point, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  #: as rows
+    touch: tuple[float, ...] | None = None  #: the only numbers that can be measured, such as a ballbar's length [m]
+
+    def datum(self, values: Array, number: int = 1) -> Datum:
+        """Return the datum, with what was measured against it, shape=(n, dimension) [m]."""
+        return Datum(self.kind, number, np.array(self.axes), np.array(self.origin), values, np.ones(len(values)))
 
 
 @dataclass(frozen=True)
@@ -31,18 +48,15 @@ class Instrument:
     angle_sigma: float = TARGET_SIGMA / (TARGET_RADIUS * np.sqrt(2.0))
     own_frame: bool = False  #: whether it measures in its own, initially unknown frame
     #: targets seen one by one instead of the tool point, in tool axes [m]
-    targets: tuple[tuple[float, float, float], ...] = ()
+    targets: tuple[Point, ...] = ()
     target_sigma: float = 0.0  #: prior standard deviation of the targets' coordinates [m]; 0 if known exactly
     encoders: tuple[str, ...] = ()  #: passive joints whose encoders are read at each pose, with the noise above
+    #: where the joints with encoders are locked, if they are: then nothing else is seen [m, rad]
+    locked: tuple[float, ...] = ()
     tilts_only: bool = False  #: whether of a pose only the turns about x and y are seen, as by a level
-    #: points, of unknown place by default, from which the distances of the targets are measured, base axes [m]
-    centres: tuple[tuple[float, float, float], ...] = ()
-    known_centres: bool = False  #: whether these points were measured beforehand, and are known exactly
-    length: float | None = None  #: the only distance that can be measured, of a ballbar [m]
-    datum: str = ""  #: "plane", "line", "socket" or "camera" of unknown placement that the targets are measured against
-    datum_place: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: about where it is, base axes [m]
-    datum_axes: tuple[tuple[float, float, float], ...] = ()  #: about its axes, as rows, base axes
-    touches: bool = False  #: whether the first target must touch the datum
+    placed: tuple[PlacedDatum, ...] = ()  #: what the targets are measured against instead, one row for each
+    known_centres: bool = False  #: whether the centres of spheres were measured beforehand, and are known exactly
+    stops: bool = False  #: whether the machine goes on until it touches, so that a row has no number but its commands
 
     def __post_init__(self) -> None:
         """Check the noise."""
@@ -82,3 +96,14 @@ class Instrument:
     def covariance(self) -> Array:
         """Covariance of a measured pose [translation; rotation vector], shape=(6, 6) [m^2, rad^2]."""
         return np.diag(np.repeat([self.position_sigma, self.angle_sigma], 3) ** 2)
+
+
+def as_points(rows: Iterable[Array]) -> tuple[Point, ...]:
+    """Return the rows of an array as points, shape=(n, 3) [m]."""
+    return tuple((float(x), float(y), float(z)) for x, y, z in rows)
+
+
+def circle_of_targets(count: int = TARGET_COUNT) -> tuple[Point, ...]:
+    """Return targets evenly spaced on a circle of :data:`TARGET_RADIUS` around the tool point, tool axes [m]."""
+    around = 2.0 * np.pi * np.arange(count) / count
+    return as_points(TARGET_RADIUS * np.stack([np.cos(around), np.sin(around), 0.0 * around], axis=1))

@@ -19,12 +19,13 @@ from pm3dof_pin.kinematics.pose_file import UNIT_QUATERNION
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.angles import angle_columns, orders_of, quaternions_of_angles, replace_angles
-from pm3dof_pin.measuring.datum import DATUM_KINDS, Datum
+from pm3dof_pin.measuring.datum import Datum, DatumKind
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO, Instrument
+from pm3dof_pin.measuring.instruments.table import datum_kinds
 from pm3dof_pin.measuring.measurements import Measurements, joint_coordinates
-from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, fitted_sphere, register
-from pm3dof_pin.typing import Array, Mask
+from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register
+from pm3dof_pin.typing import Array, Indices, Mask
 
 TARGET_POINT_SIGMA = 1e-3
 """Default prior standard deviation of a file's target positions, per coordinate [m]."""
@@ -35,16 +36,12 @@ _POINT = ("px_m", "py_m", "pz_m")
 _SIGMAS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 _DISTANCE, _DISTANCE_SIGMA = "distance_m", "sigma_distance_m"
 _ORIGIN = ("cx_m", "cy_m", "cz_m")
-_HEIGHT, _TOUCH_SIGMA, _IMAGE_SIGMA = "height_m", "sigma_touch_m", "sigma_image_px"
-_IMAGE = ("image_u_px", "image_v_px", "focal_u_px", "focal_v_px", "centre_u_px", "centre_v_px")
-_PIXEL_SIGMA = 0.1  # noise of an image coordinate, if the file says nothing
-_SPHERE, _TIME, _ENCODER = "sphere", "time_s", "encoder_"
+_TIME, _STATION, _ENCODER = "time_s", "station", "encoder_"
 
 _SAME = 1e-9
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 _MIN_SIGMA = 1e-12  # [m, rad]
 _FAR_LESS = 1e-3  # relative to the other sigmas of a column: such a row would outweigh all others
-_MIN_TOUCHES = 4  # of a sphere of unknown centre
 _BEYOND_LIMITS = 0.2  # of a joint's range
 _FAR_OFF = 0.05  # of the distance from the base to the tool: more than any tolerance explains
 _FAR_POINTS = 30.0  # times the machine's size
@@ -93,9 +90,8 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
         assert measurements.readings is not None
         columns |= {name: np.where(np.isfinite(sigmas), measurements.readings[:, k], np.nan), f"sigma_{name}": sigmas}
     if measurements.distances is not None and measurements.origins is not None and measurements.partners is not None:
-        far, spheres = np.isfinite(measurements.distances), measurements.spheres
-        on_sphere = np.zeros(len(far), dtype=bool) if spheres is None else spheres >= 0
-        fixed = (far & (measurements.partners < 0) & ~on_sphere)[:, None]
+        far = np.isfinite(measurements.distances)
+        fixed = (far & (measurements.partners < 0))[:, None]
         begun = (far & (measurements.partners >= 0))[:, None]
         columns |= {_DISTANCE: measurements.distances}
         columns |= {_DISTANCE_SIGMA: np.where(far, measurements.sigmas[:, 0], np.nan)}
@@ -103,11 +99,11 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
         columns |= zip(_ORIGIN, np.where(fixed, measurements.origins, np.nan).T, strict=True)
         starts = np.where(begun, measurements.commands[measurements.partners], np.nan)
         columns |= zip(start_columns(robot), starts.T, strict=True)
-        if spheres is not None:
-            columns |= {_SPHERE: np.where(on_sphere, spheres, np.nan)}
     columns |= _datum_columns(measurements, columns)
     if measurements.times is not None:
         columns |= {_TIME: measurements.times}
+    if measurements.stations is not None:
+        columns |= {_STATION: np.where(measurements.stations > 0, measurements.stations, np.nan)}
     if measurements.approaches is not None:
         columns |= zip(_approach_columns(robot), measurements.approaches.T, strict=True)
     return write_text_atomically(path, _columns_as_text(columns | measurements.conditions))
@@ -120,20 +116,11 @@ def _datum_columns(measurements: Measurements, columns: Mapping[str, Array]) -> 
         return found
     on, nothing = measurements.on_datums, np.full(len(measurements), np.nan)
     found |= {name: np.where(on, np.inf, columns[name]) for name in _SIGMAS[:3]}
-    found |= {name: nothing.copy() for name in dict.fromkeys(datum.kind for datum in measurements.datums)}
     for datum in measurements.datums:
-        rows = datum.rows
-        found[datum.kind][rows] = datum.number
-        if datum.kind == "camera":
-            # focal length 1: image coordinates as tangents
-            sigma = np.where(rows, measurements.sigmas[:, 0] / datum.scales, np.nan)
-            numbers = [*datum.numbers.T, *np.tile([[1.0], [1.0], [0.0], [0.0]], len(rows)), sigma]
-        else:
-            height = datum.values[:, 0] if datum.kind == "plane" else nothing
-            numbers = [height, measurements.sigmas[:, 0]]
-        names = (*_IMAGE, _IMAGE_SIGMA) if datum.kind == "camera" else (_HEIGHT, _TOUCH_SIGMA)
-        for name, column in zip(names, numbers, strict=True):
-            found[name] = np.where(rows, column, found.get(name, nothing))
+        kind, sigmas = datum.kind, measurements.sigmas[:, 0] / datum.scales
+        cells = [np.full(len(on), float(datum.number)), *kind.written(datum.numbers).T, sigmas]
+        for name, cell in zip((kind.name, *kind.columns, kind.sigma_column), cells, strict=True):
+            found[name] = np.where(datum.rows, cell, found.get(name, columns.get(name, nothing)))
     return found
 
 
@@ -264,6 +251,7 @@ class _Reader:
     def __init__(self, path: Path, robot: Robot, columns: ColumnMap | None, *, own_frame: bool) -> None:
         self._robot, self._own_frame, self._unused = robot, own_frame, set[str]()
         self._command_columns, self._start_columns = command_columns(robot), start_columns(robot)
+        self._kinds = tuple(datum_kinds().values())
         self._table = _table(path, robot, columns)
         if columns is not None and columns.angles:
             replace_angles(self._table, columns.angles)
@@ -272,14 +260,14 @@ class _Reader:
         self._encoders = [encoder_column(robot, joint) for joint in self._joints]
         self._check_header()
         self._seen, whole = self._flags_of_measured()
-        distances = (_DISTANCE, _DISTANCE_SIGMA, _SPHERE, *_ORIGIN, *self._start_columns)
-        datums = (*DATUM_KINDS, _HEIGHT, _TOUCH_SIGMA, _IMAGE_SIGMA, *_IMAGE)
+        distances = (_DISTANCE, _DISTANCE_SIGMA, *_ORIGIN, *self._start_columns)
+        datums = [name for kind in self._kinds for name in (kind.name, *kind.columns, kind.sigma_column)]
         encoders = (f"{sigma}{name}" for sigma in ("", "sigma_") for name in self._encoders)
-        may_be_empty = {*_POSITION, *_QUATERNION, *_SIGMAS, *distances, *datums, *encoders, *self._unused}
+        may_be_empty = {_STATION, *_POSITION, *_QUATERNION, *_SIGMAS, *distances, *datums, *encoders, *self._unused}
         needed = [name for name in self._table.columns if name not in may_be_empty]
         whole &= np.isfinite(self._table.matrix(needed)).all(axis=1)
         self._table.keep(whole)
-        self._seen, self._on_datum = self._seen[whole], self._flags_of_datums()
+        self._seen, self._on_datum = self._seen[whole], np.any(self._flags_of_datums(), axis=0)
 
     def measurements(self, instrument: Instrument) -> Measurements:
         own_frame, table = self._own_frame, self._table
@@ -301,15 +289,23 @@ class _Reader:
         if rotations is not None:
             rotations = np.where(np.any(seen[:, 3:], axis=1)[:, None, None], rotations, nominal.rotations)
         sigmas = np.where(seen, sigmas, np.inf)
-        registration = self._registration(expected, positions, nominal, rotations) if own_frame else None
-        if registration is not None:
+        stations, registration = self._stations(), None
+        places = np.unique(stations) if stations is not None else np.zeros(1)
+        for number in places:
+            if number == 0 and not own_frame:
+                continue
+            own = np.ones(len(table), dtype=bool) if stations is None else stations == number
+            found_at = self._registration(expected, positions, nominal, rotations, own)
+            registration = found_at if number == 0 else registration
+            if found_at is None:
+                continue
             # rows without positions or orientations already have those of the description
-            placed, turned = np.isfinite(sigmas[:, :3]).all(axis=1), np.isfinite(sigmas[:, 3:]).all(axis=1)
-            positions[placed] = registration.positions(positions[placed])
-            sigmas[placed, :3] = registration.sigmas(sigmas[placed, :3])
+            placed, turned = (own & np.isfinite(part).all(axis=1) for part in (sigmas[:, :3], sigmas[:, 3:]))
+            positions[placed] = found_at.positions(positions[placed])
+            sigmas[placed, :3] = found_at.sigmas(sigmas[placed, :3])
             if rotations is not None:
-                rotations[turned] = registration.rotations(rotations[turned])
-                sigmas[turned, 3:] = registration.sigmas(sigmas[turned, 3:])
+                rotations[turned] = found_at.rotations(rotations[turned])
+                sigmas[turned, 3:] = found_at.sigmas(sigmas[turned, 3:])
         placed_well = self._check_positions(expected, positions)
         if rotations is not None:
             self._check_rotations(nominal, rotations, refuse=placed_well)
@@ -324,6 +320,7 @@ class _Reader:
             tuple(table.warnings),
             registration,
             times=table.columns.get(_TIME),
+            stations=stations,
             approaches=self._approaches(commands),
         )
         if self._joints:
@@ -377,7 +374,7 @@ class _Reader:
         known = {*self._command_columns, *positions, *beside, _TIME, *approaches}
         alone = all(name in known or is_condition(name) for name in header)
         if not (
-            {_DISTANCE, *DATUM_KINDS} & {*header}
+            {_DISTANCE, *(kind.name for kind in self._kinds)} & {*header}
             or self._encoders
             or (alone and (positions or _QUATERNION[0] in header))
         ):
@@ -386,10 +383,10 @@ class _Reader:
         for group in (
             (_DISTANCE,),
             (_DISTANCE_SIGMA,),
-            (_SPHERE,),
-            *((name,) for name in (*DATUM_KINDS, _HEIGHT, _TOUCH_SIGMA, _IMAGE_SIGMA)),
-            _IMAGE,
+            *((name,) for kind in self._kinds for name in (kind.name, kind.sigma_column)),
+            *((name,) for kind in self._kinds for name in kind.columns if name != _DISTANCE),
             (_TIME,),
+            (_STATION,),
             _ORIGIN,
             _QUATERNION,
             _POINT,
@@ -401,7 +398,8 @@ class _Reader:
         ):
             if set(group) & set(header):
                 expected += group
-        self._table.require(expected)
+        expected += [name for kind in self._kinds if kind.needed and kind.name in header for name in kind.columns]
+        self._table.require(list(dict.fromkeys(expected)))
         unknown = [name for name in header if name not in expected and not is_condition(name)]
         self._unused = {*unknown}
         if unknown:
@@ -436,12 +434,21 @@ class _Reader:
             if name in table:
                 seen[:, place] = ~np.isnan(table[name]) & ~np.isposinf(table.get(f"sigma_{name}", 0.0))
                 broken |= seen[:, place] & ~np.isfinite(table[name])
-        return seen, (seen.any(axis=1) | self._flags_of_datums()) & ~broken
+        datums = np.any(self._flags_of_datums(), axis=0)
+        for kind in self._kinds:
+            if _DISTANCE in kind.columns:
+                seen[:, 6] &= ~np.isfinite(table.get(kind.name, np.nan))
+        return seen, (seen.any(axis=1) | datums) & ~broken
 
     def _flags_of_datums(self) -> Mask:
-        """Tell which rows are measured against a datum, shape=(n,)."""
-        numbers = [self._table[kind] for kind in DATUM_KINDS if kind in self._table]
-        return np.asarray(np.any([np.zeros(len(self._table), dtype=bool), *map(np.isfinite, numbers)], axis=0))
+        """Tell which rows are measured against a datum of each kind, shape=(kinds, n)."""
+        table, flags = self._table, []
+        for kind in self._kinds:
+            missing = np.isposinf(table.get(kind.sigma_column, 0.0))
+            if kind.needed and kind.name in table:
+                missing = missing | np.isnan(table.matrix(kind.columns, missing=np.nan)).all(axis=1)
+            flags.append(np.isfinite(table.get(kind.name, np.nan)) & ~missing)
+        return np.array(flags)
 
     def _warn_of_copies(self, points: Array) -> None:
         """Warn of rows that repeat others, entirely or in everything measured at other commands."""
@@ -514,12 +521,24 @@ class _Reader:
             problem += f", but could if {' or '.join(found)} counted the other way"
         self._refuse(problem, ~poses.solved)
 
+    def _stations(self) -> Indices | None:
+        """Return the number of the place from which each row was seen, 0 for none, shape=(n,)."""
+        if _STATION not in self._table:
+            return None
+        numbers = np.nan_to_num(self._table[_STATION])
+        if (bad := (numbers < 0.0) | (numbers != np.round(numbers))).any():
+            self._refuse(f"{_STATION} is a number of places, expected 1, 2 ...", bad)
+        stations = numbers.astype(np.intp)
+        # in a frame of its own, that of the first station is the frame
+        stations = stations - stations.min() if self._own_frame else stations
+        return stations if stations.any() else None
+
     def _registration(
-        self, expected: Array, positions: Array, nominal: Poses, rotations: Array | None
+        self, expected: Array, positions: Array, nominal: Poses, rotations: Array | None, own: Mask
     ) -> Registration | None:
-        """Locate the base in the instrument's frame; None if all rows are distances, which have no frame."""
+        """Locate the base in an instrument's frame by its own rows; None if all are distances, which have no frame."""
         count = 3 if rotations is None else 6
-        seen = self._seen[:, :count]
+        seen = self._seen[:, :count] & own[:, None]
         whole, some = seen.all(axis=1), seen.any(axis=1)
         if not some.any():
             return None
@@ -580,7 +599,7 @@ class _Reader:
 
     def _readings(self, nominal: Poses, instrument: Instrument) -> tuple[Array, Array]:
         """Return encoder readings and their noise, infinite for empty cells, shape=(n, joints) each [m, rad]."""
-        expected = joint_coordinates(nominal, tuple(self._joints))
+        expected = joint_coordinates(nominal.robot, nominal.q, tuple(self._joints))
         readings, sigmas = expected.copy(), np.full_like(expected, np.inf)
         for k, (column, unit) in enumerate(zip(self._encoders, self._joints.values(), strict=True)):
             seen = np.isfinite(self._table[column])
@@ -603,24 +622,12 @@ class _Reader:
         both = self._on_datum & self._seen.any(axis=1)
         if both.any():
             self._refuse("a row has a datum and other measurements, expected a row for each", both)
-        for kind, entry in DATUM_KINDS.items():
-            numbers = table.get(kind, np.nan)
-            of_kind = np.isfinite(numbers)
+        for kind, of_kind in zip(self._kinds, self._flags_of_datums(), strict=True):
+            if not of_kind.any():
+                continue
+            numbers, (observed, noise) = table[kind.name], self._observed(kind, of_kind, instrument)
             if (bad := of_kind & ((numbers < 0.0) | (numbers != np.round(numbers)))).any():
-                self._refuse(f"{kind} is a number of datums, expected 1, 2 ...", bad)
-            noise = table.get(_TOUCH_SIGMA, instrument.position_sigma)
-            observed = np.zeros((len(table), entry.dimension))
-            if kind == "plane":
-                observed[:, 0] = np.nan_to_num(table.get(_HEIGHT, 0.0))
-            if kind == "camera" and of_kind.any():
-                table.require(_IMAGE, table.header_line)
-                u, v, focal_u, focal_v, centre_u, centre_v = table.matrix(_IMAGE).T
-                observed = np.column_stack([(u - centre_u) / focal_u, (v - centre_v) / focal_v])
-                noise = table.get(_IMAGE_SIGMA, _PIXEL_SIGMA) / np.abs(focal_u)
-                if (bad := of_kind & ~np.isfinite(observed).all(axis=1)).any():
-                    self._refuse(f"{','.join(_IMAGE)} are incomplete", bad)
-            if (bad := of_kind & ~(noise > 0.0)).any():
-                self._refuse(f"{_IMAGE_SIGMA if kind == 'camera' else _TOUCH_SIGMA} is not positive", bad)
+                self._refuse(f"{kind.name} is a number of datums, expected 1, 2 ...", bad)
             for number in np.unique(numbers[of_kind]):
                 own = of_kind & (numbers == number)
                 try:
@@ -629,11 +636,25 @@ class _Reader:
                     raise MeasurementError(table.path, str(error), table.lines_where(own)) from error
                 datums.append(datum)
                 sigmas[own] = np.inf
-                sigmas[own, : entry.dimension] = (noise * datum.scales)[own, None]
+                sigmas[own, : kind.dimension] = (noise * datum.scales)[own, None]
                 off = np.linalg.norm(datum.residuals(expected), axis=1)[own]
                 if np.median(off) > (limit := _FAR_OFF * float(np.median(np.linalg.norm(expected, axis=1)))):
-                    table.warn(f"{kind} {int(number)} is {np.median(off):.3g} m (median), more than {limit:.2g} m, off")
+                    which = f"{kind.name} {int(number)}"
+                    table.warn(f"{which} is {np.median(off):.3g} m (median), more than {limit:.2g} m, off")
         return replace(found, sigmas=sigmas, datums=tuple(datums))
+
+    def _observed(self, kind: DatumKind, of_kind: Mask, instrument: Instrument) -> tuple[Array, Array]:
+        """Return what is measured against data of a kind, shape=(n, dimension), and its noise, shape=(n,) [m, 1]."""
+        table = self._table
+        numbers, unit = kind.read(table.matrix(kind.columns, missing=np.nan))
+        observed = numbers[:, : kind.dimension]
+        if (bad := of_kind & ~np.isfinite(observed).all(axis=1)).any():
+            self._refuse(f"{','.join(kind.columns)} are incomplete", bad)
+        usual = instrument.position_sigma if kind.usual_sigma is None else kind.usual_sigma
+        noise = table.get(kind.sigma_column, usual) * unit
+        if (bad := of_kind & ~(noise > 0.0)).any():
+            self._refuse(f"{kind.sigma_column} is not positive", bad)
+        return observed, noise
 
     def _with_distances(self, found: Measurements, expected: Array, instrument: Instrument) -> Measurements:
         """Return measurements with their distances; the poses where some start become rows without measurements."""
@@ -645,19 +666,13 @@ class _Reader:
         starts = found.commands * np.nan
         if self._start_columns[0] in table:
             starts = table.matrix(self._start_columns)
-        spheres = np.nan_to_num(table.get(_SPHERE, np.nan), nan=-1.0).astype(np.intp)
-        fixed, begun, on_sphere = np.isfinite(origins).all(axis=1), np.isfinite(starts).all(axis=1), spheres >= 0
-        unclear = far & (fixed.astype(int) + begun + on_sphere != 1)
+        fixed, begun = np.isfinite(origins).all(axis=1), np.isfinite(starts).all(axis=1)
+        unclear = (far & (fixed == begun)) | (self._on_datum & (fixed | begun))
         if unclear.any():
-            choices = f"{','.join(_ORIGIN)} or {','.join(self._start_columns)} or the number of a {_SPHERE}"
+            choices = f"{','.join(_ORIGIN)} or {','.join(self._start_columns)} or the number of a sphere"
             self._refuse(f"{_DISTANCE} needs one starting point: expected {choices}", unclear)
         if found.registration is not None and fixed.any():
             origins[fixed] = found.registration.positions(origins[fixed])
-        for number in np.unique(spheres[far & on_sphere]):
-            touching = far & (spheres == number)
-            if touching.sum() < _MIN_TOUCHES:
-                self._refuse(f"{_SPHERE} {number} has {touching.sum()} rows, expected {_MIN_TOUCHES} or more", touching)
-            origins[touching] = fitted_sphere(expected[touching], table[_DISTANCE][touching])
         sigmas, given = found.sigmas.copy(), table.get(_DISTANCE_SIGMA, instrument.position_sigma)
         if not (given[far] > 0.0).all():
             self._refuse(f"{_DISTANCE_SIGMA} is not positive", far)
@@ -679,7 +694,6 @@ class _Reader:
             distances=np.concatenate([distances, np.full(len(begins), np.nan)]),
             origins=np.nan_to_num(origins[rows]),
             partners=partners,
-            spheres=np.where(far, spheres, -1)[rows] if on_sphere.any() else None,
         )
 
     def _approaches(self, commands: Array) -> Array | None:

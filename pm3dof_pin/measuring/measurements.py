@@ -20,13 +20,14 @@ from pm3dof_pin.errors.pose_error import (
 )
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.datum import Datum
 from pm3dof_pin.measuring.instrument import Instrument, Measured
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _SAME = 1e-9  # [m, rad], commands that differ by less are the same pose
-_COLUMNS = ("commands", "positions", "rotations", "points", "times", "approaches", "origins", "spheres", "readings")
+_COLUMNS = ("commands", "positions", "rotations", "points", "times", "approaches", "origins", "readings", "stations")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +64,13 @@ class Measurements:
         distances: the distance measured, NaN in rows without one, shape=(n,) [m]; None if there are none.
         origins: the fixed points, in the world, from which distances are measured, shape=(n, 3) [m].
         partners: the rows at whose points distances start instead, shape=(n,); -1 for a fixed point.
-        spheres: number of the sphere whose surface was touched, the distance being its radius, shape=(n,); -1 for none.
-            Its centre, in `origins`, is not known.
+        stations: number of the place from which the instrument saw each row, if that is not known, shape=(n,); 0 for
+            the others; None if there are none. Rows are in base axes as the machine described has them.
         joints: passive joints with an encoder and the unit of each, "m" or "rad"; their noise follows that of the tool
             in `sigmas`.
         readings: readings of these encoders, shape=(n, joints) [m, rad]; None if there are none.
-        datums: planes, lines, sockets and cameras of unknown placement, with what was measured against them. Such a row
-            has only that, as its first columns.
+        datums: spheres, planes, lines, sockets and cameras of unknown placement, with what was measured against them.
+            Such a row has only that, as its first columns.
     """
 
     commands: Array
@@ -88,7 +89,7 @@ class Measurements:
     distances: Array | None = None
     origins: Array | None = None
     partners: Indices | None = None
-    spheres: Indices | None = None
+    stations: Indices | None = None
     joints: dict[str, str] = field(default_factory=dict)
     readings: Array | None = None
     datums: tuple[Datum, ...] = ()
@@ -99,7 +100,7 @@ class Measurements:
         if not self.lines:
             object.__setattr__(self, "lines", tuple(range(2, n + 2)))
         readings = np.empty(0) if self.readings is None and self.joints else self.readings
-        shapes: list[tuple[str, Array | None, tuple[int, ...]]] = [
+        shapes: list[tuple[str, Array | Indices | None, tuple[int, ...]]] = [
             ("commands", self.commands, (n, self.commands.shape[-1])),
             ("positions", self.positions, (n, 3)),
             ("sigmas", np.where(np.isposinf(self.sigmas), 1.0, self.sigmas), (n, self.tool_columns + len(self.joints))),
@@ -107,6 +108,7 @@ class Measurements:
             ("rotations", self.rotations, (n, 3, 3)),
             *((name, values, (n,)) for name, values in self.conditions.items()),
             ("times", self.times, (n,)),
+            ("stations", self.stations, (n,)),
             ("readings", readings, (n, len(self.joints))),
             ("approaches", self.approaches, self.commands.shape),
         ]
@@ -275,8 +277,8 @@ class Measurements:
 
     def with_datum(self, datum: Datum) -> Measurements:
         """Return the measurements with a datum at another placement, in place of the one of its kind and number."""
-        same = (datum.kind, datum.number)
-        others = (datum if (each.kind, each.number) == same else each for each in self.datums)
+        same = (datum.kind.name, datum.number)
+        others = (datum if (each.kind.name, each.number) == same else each for each in self.datums)
         return replace(self, datums=tuple(others))
 
     def in_moved_base(self, twist: Array) -> Measurements:
@@ -307,6 +309,14 @@ class Measurements:
             origins=None if self.origins is None else registration.positions(self.origins),
         )
 
+    def with_rows_in_axes(self, rows: Mask, registration: Registration) -> Measurements:
+        """Return the measurements with some rows, positions and orientations, transformed to other axes."""
+        moved = self.in_axes(registration)
+        turned = None
+        if self.rotations is not None and moved.rotations is not None:
+            turned = np.where(rows[:, None, None], moved.rotations, self.rotations)
+        return replace(self, positions=np.where(rows[:, None], moved.positions, self.positions), rotations=turned)
+
     def registered_at(self, poses: Poses, eta: float = TIP_LENGTH) -> Registration:
         """Locate the base from a machine's poses, one for each row; see :func:`register`."""
         rotations = (None, None) if self.rotations is None else (self.rotations, poses.rotations)
@@ -322,9 +332,20 @@ class Measurements:
         """Return the measurements with other points seen on the tool, shape=(n, 3) [m]."""
         return replace(self, points=points)
 
-    def with_origins(self, origins: Array) -> Measurements:
-        """Return the measurements with distances from other fixed points, shape=(n, 3) [m]."""
-        return replace(self, origins=origins)
+    def with_noise(self, generator: np.random.Generator, first: int = 0) -> Measurements:
+        """Return positions, distances, rows on datums and encoder readings with noise of their sigmas.
+
+        Columns before `first` stay as they are, and so do orientations.
+        """
+        noise = generator.standard_normal(self.sigmas.shape) * np.where(np.isfinite(self.sigmas), self.sigmas, 0.0)
+        noise[:, :first] = 0.0
+        return replace(
+            self,
+            positions=self.positions + noise[:, :3],
+            distances=None if self.distances is None else self.distances + noise[:, 0],
+            readings=None if self.readings is None else self.readings + noise[:, self.tool_columns :],
+            datums=tuple(replace(each, values=each.values + noise[:, : each.kind.dimension]) for each in self.datums),
+        )
 
     def with_encoders(self, joints: dict[str, str], readings: Array, sigmas: Array) -> Measurements:
         """Return the measurements with readings of passive joints and their noise, shape=(n, joints) each [m, rad]."""
@@ -381,7 +402,7 @@ class Measurements:
             seen[:, :3, :3] = self.rotations
             parts.append(pose_difference(poses.transforms, seen)[:, 3:])
         if self.readings is not None:
-            parts.append(self.readings - joint_coordinates(poses, tuple(self.joints)))
+            parts.append(self.readings - joint_coordinates(poses.robot, poses.q, tuple(self.joints)))
         return np.concatenate(parts, axis=1)
 
     def tip_misfits(self, poses: Poses, eta: float = TIP_LENGTH) -> Array:
@@ -432,13 +453,13 @@ class Measurements:
         return np.asarray(self.partners < 0)[:, None]
 
 
-def joint_coordinates(poses: Poses, joints: Sequence[str]) -> Array:
-    """Return the coordinates of single-DoF joints, shape=(n, joints) [m, rad]."""
-    found = np.zeros((len(poses), len(joints)))
+def joint_coordinates(robot: Robot, q: Array, joints: Sequence[str]) -> Array:
+    """Return the coordinates of single-DoF joints from those of a model, shape=(n, nq) to (n, joints) [m, rad]."""
+    found = np.zeros((len(q), len(joints)))
     for k, name in enumerate(joints):
-        joint = poses.robot.single_joint(name)
-        q = poses.q[:, joint.q_index]
-        found[:, k] = np.arctan2(poses.q[:, joint.q_index + 1], q) if joint.is_continuous else q
+        joint = robot.single_joint(name)
+        at = q[:, joint.q_index]
+        found[:, k] = np.arctan2(q[:, joint.q_index + 1], at) if joint.is_continuous else at
     return found
 
 

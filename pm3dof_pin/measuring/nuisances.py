@@ -9,11 +9,11 @@ which is the basis of identification, rank, covariance and plan.
 
 ============  =====================================================  ==================================================
 frame         the instrument has a frame of its own                  6: the base in this frame, known only from data
+stations      rows were seen from places of their own                6 for each, as for the frame
 targets       points off the tool point, known to `target_sigma`     3 for each, in the tool's axes
 tool point    the tool point itself, known to `tool_point_sigma`     3, in the tool's axes
-spheres       surfaces of spheres were touched                       3 for each, its centre, known only from data
-datums        rows measured against planes, lines, sockets,          3 to 6 for each, its placement, from the data only
-              cameras of unknown placement
+datums        rows measured against spheres, planes, lines,          3 to 6 for each, its placement, from the data only
+              sockets, cameras of unknown placement
 drift         rows have times                                        a motion of the base and of each drive's zero, [m]
                                                                      and [rad] from the first row to the last
 hysteresis    rows have approaches                                   for each drive, from one direction to the other
@@ -34,7 +34,8 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.datum import Datum
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO
 from pm3dof_pin.measuring.measurements import Measurements, with_joints
-from pm3dof_pin.typing import Array, Indices
+from pm3dof_pin.measuring.registration import AT_THE_BASE
+from pm3dof_pin.typing import Array, Indices, Mask
 
 _FRAME_SCALE = {"m": 1e-3, "rad": 1e-3}
 _FRAME_SIGMA = 1e3  # in these units: uninformative
@@ -78,6 +79,25 @@ class _InstrumentFrame(NuisancePart):
 
 
 @dataclass(frozen=True, eq=False)
+class _StationFrame(NuisancePart):
+    """Correction of one station's registration: a twist in base axes that moves everything seen from it."""
+
+    number: int = field(kw_only=True)  #: of the station
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        return _rigid_motions(poses) * self._own(measurements)[:, None, None]
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        own = self._own(measurements)
+        return measurements.with_rows_in_axes(own, AT_THE_BASE.moved(np.array(values))) if own.any() else measurements
+
+    def _own(self, measurements: Measurements) -> Mask:
+        if measurements.stations is None:
+            return np.zeros(len(measurements), dtype=bool)
+        return np.asarray((measurements.stations == self.number) & ~measurements.on_datums)
+
+
+@dataclass(frozen=True, eq=False)
 class _PointOffsets(NuisancePart):
     """Corrections of the points on the tool: moving a target is equivalent to shifting the tool."""
 
@@ -98,32 +118,6 @@ class _PointOffsets(NuisancePart):
 
 
 @dataclass(frozen=True, eq=False)
-class _SphereCentres(NuisancePart):
-    """Corrections of the centres of touched spheres, relative to their fit by the machine as described.
-
-    Moving a centre is equivalent to shifting the tool the other way.
-    """
-
-    numbers: Indices = field(kw_only=True)  #: the spheres, shape=(spheres,)
-
-    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        motions = np.zeros((len(measurements), 6, len(self.numbers), 3))
-        motions[:, :3] = -np.eye(3)[:, None, :] * self._members(measurements)[:, None, :, None]
-        return motions.reshape(len(measurements), 6, -1)
-
-    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        if measurements.origins is None:
-            return measurements
-        return measurements.with_origins(measurements.origins + self._members(measurements) @ values.reshape(-1, 3))
-
-    def _members(self, measurements: Measurements) -> Array:
-        """Indicate which sphere each row touches, 1 or 0, shape=(n, spheres)."""
-        if measurements.spheres is None:
-            return np.zeros((len(measurements), len(self.numbers)))
-        return np.asarray(measurements.spheres[:, None] == self.numbers, float)
-
-
-@dataclass(frozen=True, eq=False)
 class _DatumPlacement(NuisancePart):
     """Correction of a datum's placement, relative to its fit by the machine as described."""
 
@@ -141,7 +135,7 @@ class _DatumPlacement(NuisancePart):
         return measurements
 
     def _own(self, measurements: Measurements) -> list[Datum]:
-        return [datum for datum in measurements.datums if (datum.kind, datum.number) == (self.kind, self.number)]
+        return [datum for datum in measurements.datums if (datum.kind.name, datum.number) == (self.kind, self.number)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +186,9 @@ class Nuisances:
         drives = {f"u{k}": unit for k, unit in enumerate(drive_units, start=1)}
         if measurements.registration is not None:
             parts.append(_InstrumentFrame("frame", *_named("frame", _TWIST, _FRAME_SCALE), _FRAME_SIGMA))
+        for number in () if measurements.stations is None else np.setdiff1d(measurements.stations, [0]):
+            named = _named(f"station{number}", _TWIST, _FRAME_SCALE)
+            parts.append(_StationFrame("stations", *named, _FRAME_SIGMA, number=int(number)))
         points = measurements.points[np.unique(measurements.target_numbers, return_index=True)[1]]
         off = points.any(axis=1)
         labels = [f"target{k}" for k in range(1, int(off.sum()) + 1)]
@@ -199,14 +196,12 @@ class Nuisances:
             parts.append(_PointOffsets("targets", *_positions(labels, sigma), points=frozen(points[off])))
         if not off.all() and (sigma := measurements.tool_point_sigma) > 0.0:
             parts.append(_PointOffsets("tool_point", *_positions(["tool_point"], sigma), points=frozen(points[~off])))
-        if measurements.spheres is not None:
-            numbers = np.setdiff1d(measurements.spheres, [-1])
-            named = _positions([f"sphere{k}" for k in numbers], _FRAME_SCALE["m"])
-            parts.append(_SphereCentres("spheres", *named, _FRAME_SIGMA, numbers=numbers))
         for datum in measurements.datums:
             units = tuple("rad" if ".r" in name else "m" for name in datum.names)
             scales = np.array([_FRAME_SCALE[unit] for unit in units])
-            parts.append(_DatumPlacement(datum.kind, datum.names, units, scales, _FRAME_SIGMA, number=datum.number))
+            parts.append(
+                _DatumPlacement(datum.kind.name, datum.names, units, scales, _FRAME_SIGMA, number=datum.number)
+            )
         times = measurements.times
         if times is not None and np.ptp(times) > 0.0:
             named = _named("drift", {**_TWIST, **drives}, _DRIFT_SIGMA)

@@ -136,6 +136,10 @@ class SimulatedMachine:
             InvalidValueError: commands or conditions of a wrong shape or not finite.
             DescriptionError: deflections are requested, but the description has no springs.
         """
+        return self._carried_out(np.array(commands, dtype=float), conditions or Conditions())[0]
+
+    def state(self, commands: ArrayLike, conditions: Conditions | None = None) -> tuple[Array, Array]:
+        """Return :meth:`poses`, and the true coordinates of all joints, shape=(n, nq) [m, rad]."""
         return self._carried_out(np.array(commands, dtype=float), conditions or Conditions())
 
     def measure(
@@ -147,22 +151,26 @@ class SimulatedMachine:
     ) -> Array:
         """Return what an instrument measures: :meth:`poses` with vibration and its own noise.
 
-        Full poses are returned even for an instrument that measures positions only.
+        Full poses are returned even for an instrument that measures positions only. The noise of one that sees targets
+        one by one is of each, and not of the pose.
         """
         given = real_array("commands", commands)
         if given.ndim != 2:
             raise ShapeError("commands", given.shape, "(n, number of commands)")
-        noise = correlated_normal((instrument or Instrument()).covariance, len(given), generator)
+        seen_by, noise = instrument or Instrument(), np.zeros((len(given), 6))
+        if not seen_by.targets:
+            noise = correlated_normal(seen_by.covariance, len(given), generator)
         if self.vibration is not None:
             noise = noise + self.vibration.tool_displacements(self.nominal.forward(given), generator)
             given = given + self._scales * self.vibration.travel_errors(len(given), given.shape[1], generator)
-        return moved_pose(self._carried_out(given, conditions or Conditions()), noise)
+        return moved_pose(self._carried_out(given, conditions or Conditions())[0], noise)
 
     @property
     def _scales(self) -> Array:
         return np.array([command.scale for command in self.nominal.commands])
 
-    def _carried_out(self, commands: Array, conditions: Conditions) -> Array:
+    def _carried_out(self, commands: Array, conditions: Conditions) -> tuple[Array, Array]:
+        """Return the poses of the tool, shape=(n, 4, 4), and the coordinates of the joints, shape=(n, nq)."""
         guesses = self.nominal.forward(commands).q
         rises = _rows("temperature_rises", conditions.temperature_rises, commands.shape)
         travels = (commands - [command.offset for command in self.nominal.commands]) / self._scales
@@ -180,11 +188,12 @@ class SimulatedMachine:
         wrenches = None
         if conditions.wrenches is not None:
             wrenches = _rows("wrenches", conditions.wrenches, (len(commands), 6))
-        carried = self._at(commands + self._scales * too_far, guesses, rises.mean(axis=1), offsets, wrenches)
+        carried, q = self._at(commands + self._scales * too_far, guesses, rises.mean(axis=1), offsets, wrenches)
         if not conditions.body_rises:
-            return carried
+            return carried, q
         heat = BodyTemperatures(self.nominal, self._bearings)
-        return moved_pose(carried, heat.motions(self.nominal.forward(commands, guess=guesses), conditions.body_rises))
+        poses = self.nominal.forward(commands, guess=guesses)
+        return moved_pose(carried, heat.motions(poses, conditions.body_rises)), q
 
     @property
     def _bearings(self) -> Vector:
@@ -197,8 +206,10 @@ class SimulatedMachine:
             else self.geometric.errors.fixed_bearings
         )
 
-    def _at(self, commands: Array, guesses: Array, rises: Array, offsets: Array, wrenches: Array | None) -> Array:
-        """Return the poses; rows with the same geometry are computed together.
+    def _at(
+        self, commands: Array, guesses: Array, rises: Array, offsets: Array, wrenches: Array | None
+    ) -> tuple[Array, Array]:
+        """Return the poses and the joints' coordinates; rows with the same geometry are computed together.
 
         Deflections are those of the geometry without waves and growth, which change them by less than a thousandth.
         """
@@ -209,16 +220,18 @@ class SimulatedMachine:
         growth, per_kelvin = ((), np.zeros(0)) if self.thermal is None else self.thermal.growth(crooked)
         changing = GeometricErrors(crooked, (*beside, *growth))
         states = np.hstack([offsets.reshape(len(rises), -1)[:, : len(beside)], np.outer(rises, per_kelvin)])
-        transforms = np.empty((len(commands), 4, 4))
+        transforms, q = np.empty((len(commands), 4, 4)), np.empty_like(guesses)
         for state in np.unique(states, axis=0):
             rows = np.flatnonzero((states == state).all(axis=1))
             robot = changing.apply(state) if state.any() else crooked
             if self.thermal is not None:
                 robot = self.thermal.with_rods(robot, float(rises[rows[0]]))
-            transforms[rows] = robot.forward(commands[rows], guess=guesses[rows]).transforms
+            poses = robot.forward(commands[rows], guess=guesses[rows])
+            transforms[rows], q[rows] = poses.transforms, poses.q
         if self.elastic is None:
-            return transforms
-        return moved_pose(transforms, self.elastic.displacements(crooked.forward(commands, guess=guesses), wrenches))
+            return transforms, q
+        loaded = crooked.forward(commands, guess=guesses)
+        return moved_pose(transforms, self.elastic.displacements(loaded, wrenches)), q
 
 
 def _with_all_parameters(errors: GeometricErrors) -> GeometricErrors:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,6 +21,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.observation import observed, touching_commands, with_encoders
 from pm3dof_pin.measuring.wrenches import WEIGHT_COLUMN, WRENCH_COLUMNS, is_wrench, wrenches_of
 from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine
 from pm3dof_pin.typing import Array
@@ -146,9 +148,24 @@ class World:
         if self.machine.elastic is None and any(map(is_wrench, given or ())):
             raise InvalidValueError("loads", ", ".join(given or ()), "none: this machine has no springs to deflect")
         conditions = self.conditions(len(commands), generator) | dict(given or {})
-        surroundings = self._surroundings(commands, conditions)
-        seen = self.machine.measure(commands, generator, surroundings, instrument)
-        measurements = Measurements.from_poses(commands, seen, instrument)
+        surroundings, seen_by = self._surroundings(commands, conditions), instrument or Instrument()
+        robot = self.machine.nominal
+        if seen_by.stops:
+            count = len(seen_by.locked) or seen_by.placed[0].kind.dimension
+            early = generator.normal(scale=seen_by.position_sigma, size=(len(commands), count))
+            machine = partial(self.machine.state, conditions=surroundings)
+            commands = touching_commands(robot, commands, machine, seen_by, early)
+        measurements = observed(commands, self.machine.measure(commands, generator, surroundings, seen_by), seen_by)
+        if seen_by.encoders:
+            _, q = self.machine.state(commands, surroundings)
+            measurements = with_encoders(measurements, robot, q, seen_by)
+        if seen_by.stops:
+            # the number of a touch is that it touches, of a lock that it is locked
+            touches = (replace(each, values=0.0 * each.values) for each in measurements.datums)
+            held = np.tile(seen_by.locked, (len(commands), 1)) if seen_by.locked else None
+            measurements = replace(measurements, datums=tuple(touches), readings=held)
+        elif seen_by.targets or seen_by.encoders:
+            measurements = measurements.with_noise(generator, 0 if seen_by.targets else measurements.tool_columns)
         rows = len(measurements) // max(1, len(commands))  # rows of each pose, one for each target
         return replace(measurements, conditions={name: np.repeat(v, rows) for name, v in conditions.items()})
 

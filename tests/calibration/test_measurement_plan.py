@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,12 +13,13 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.measuring.instruments import InstrumentName, placed_instrument, planned_measurements
+from pm3dof_pin.measuring.instruments.table import INSTRUMENTS, placed_instrument
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.nuisances import Nuisances
+from pm3dof_pin.measuring.observation import planned_measurements
 
 MACHINES = Path(__file__).parents[1] / "machines"
-NAMES: tuple[InstrumentName, ...] = get_args(InstrumentName)
+NAMES = tuple(INSTRUMENTS)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def errors() -> GeometricErrors:
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("tracker", "level")])
-def test_what_must_touch_touches(name: InstrumentName, errors: GeometricErrors, tmp_path: Path) -> None:
+def test_what_must_touch_touches(name: str, errors: GeometricErrors, tmp_path: Path) -> None:
     """Judged from the tool's poses alone; and the planned rows are those of a file."""
     point = (0.01, -0.02, 0.03)
     found = plan_measurements(errors, 10, instrument=name, point=point, candidates=120, machines=2)
@@ -36,7 +36,7 @@ def test_what_must_touch_touches(name: InstrumentName, errors: GeometricErrors, 
     tips = poses.positions + poses.rotations @ np.array(point)
     assert poses.within_limits.all()
     if name == "ballbar":
-        assert np.ptp(np.linalg.norm(tips - own.centres[0], axis=1)) < 1e-7
+        assert np.ptp(np.linalg.norm(tips - own.placed[0].origin, axis=1)) < 1e-7
     extents = np.linalg.svd(tips - tips.mean(axis=0), compute_uv=False)
     flat = {"probe": 1, "line": 2, "socket": 3}.get(name, 0)
     assert (extents[3 - flat :] < 1e-7).all()
@@ -57,8 +57,10 @@ def test_wires_from_known_points(errors: GeometricErrors) -> None:
     units = tuple(command.unit for command in errors.robot.commands)
     assert [len(Nuisances.from_measurements(each, units)) for each in seen] == [12, 0]
     tips = poses.positions[:, None] - np.array(centres)
-    for each in seen:
-        np.testing.assert_allclose(each.distances, np.linalg.norm(tips, axis=2).ravel(), atol=1e-12)
+    distances = np.linalg.norm(tips, axis=2)
+    np.testing.assert_allclose(seen[1].distances, distances.ravel(), atol=1e-12)
+    found = [datum.values[datum.rows, 0] for datum in seen[0].datums]
+    np.testing.assert_allclose(found, distances.T, atol=1e-12)
     with pytest.raises(InvalidValueError, match="those of wires or a ballbar"):
         plan_measurements(errors, 10, instrument="probe", centres=centres[:1], known_centres=True, candidates=50)
 
@@ -96,7 +98,7 @@ def test_declared_ranges_are_kept() -> None:
 def test_what_cannot_be_is_refused(errors: GeometricErrors) -> None:
     with pytest.raises(UnreachablePoseError, match="plane at 0 0 9 is out of reach"):
         plan_measurements(errors, 9, instrument="probe", centres=((0.0, 0.0, 9.0),), candidates=50, machines=1)
-    with pytest.raises(InvalidValueError, match="one for a ballbar"):
+    with pytest.raises(InvalidValueError, match="expected 1 for a ballbar"):
         plan_measurements(errors, 9, instrument="ballbar", centres=((0.0, 0.0, 0.1),) * 2, candidates=50)
     with pytest.raises(InvalidValueError, match="lm, without an accuracy"):
         plan_measurements(errors, 9, instrument="camera", method="gp", candidates=50)

@@ -49,6 +49,7 @@ def test_new_rows_are_merged(
     done = run(*words, *(["--own-frame"] if own_frame else []), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     again = pm.read_compensation(tmp_path / "again")
+    assert ("station1.tx:" in (tmp_path / "again" / "calibration.yaml").read_text()) == own_frame
     assert read_history(tmp_path / "again")[-1]["verdict"] == ("re-zero" if moved else "unchanged")
     tested = pm.reachable_poses(robot, 60, np.random.default_rng(5))
     before = pm.read_compensation(folder)

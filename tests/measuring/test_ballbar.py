@@ -59,10 +59,9 @@ def test_rows_are_those_of_the_machine(sense: Any, hexapod: pm.Robot, tmp_path: 
     assert "37 distances from one socket" in done.stdout
     rows = read_measurements(tmp_path / "rows.csv", hexapod)
     assert rows.approaches is not None
-    assert rows.distances is not None
     # the machine that made the trace fits it to the digits of the file, from the true socket
     true = machine.geometric.errors.apply(machine.geometric.values).forward(rows.commands)
-    there = rows.with_origins(np.tile(np.array(circle.centre) + SOCKET, (len(rows), 1)))
+    there = rows.with_datum(replace(rows.datums[0], origin=np.array(circle.centre) + SOCKET))
     assert np.abs(there.residuals(true)[:, 0]).max() < 1e-12
     # the drives' directions, by the rows before and after
     ahead = np.sign(rows.commands[2:] - rows.commands[:-2])
@@ -83,6 +82,7 @@ def test_angles_in_degrees_and_wrong_files(hexapod: pm.Robot, tmp_path: Path) ->
         ("reading_um\n0\n1\n", "angle_rad"),
         ("angle_deg,reading_m\n0,0.1\n9,0.1\n", "another unit"),
         ("angle_deg,reading_um\n0,a\n9,b\n", "line 2"),
+        ("angle_deg,reading_um\n270,1\n180,2\n90,1\n0,1\n", "they fall, which is clockwise, .* said to be ccw"),
     ):
         path.write_text(text)
         with pytest.raises(MeasurementError, match=words):

@@ -1,0 +1,44 @@
+"""A plane of unknown pose: a probe touches it, a dial gauge or a bed sensor measures heights above it. g(X) = Z."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pm3dof_pin.measuring.datum import DatumKind, constant, principal_axes
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
+from pm3dof_pin.typing import Array
+
+
+def _start(points: Array, values: Array) -> list[tuple[Array, Array]]:
+    axes, centre = principal_axes(points), points.mean(axis=0)
+    upward = axes if axes[2] @ np.ones(3) >= 0.0 else np.array([axes[0], -axes[1], -axes[2]])
+    starts = [upward, np.eye(3)] if not np.ptp(values) else [upward, upward * [[1.0], [-1.0], [-1.0]], np.eye(3)]
+    return [(each, centre - values.mean() * each[2]) for each in starts]
+
+
+PLANE = DatumKind(
+    "plane",
+    dimension=1,
+    moves=(2, 3, 4),
+    min_rows=4,
+    measured=lambda x: x[:, 2:],
+    gradient=constant(np.eye(3)[2:]),
+    start=_start,
+    columns=("height_m",),
+    read=lambda cells: (np.nan_to_num(cells), 1.0),
+    written=lambda numbers: numbers,
+)
+"""A plane; without a height it is touched."""
+
+
+def _probe(setting: Setting) -> Instrument:
+    return setting.at(setting.one(PLANE, np.eye(3), setting.middle, (0.0,)), stops=True)
+
+
+def _gauge(setting: Setting) -> Instrument:
+    return setting.at(setting.one(PLANE, np.eye(3), setting.middle))
+
+
+PROBE = InstrumentKind("probe", "a touch of a plane", "the plane", 5e-6, _probe, PLANE)
+GAUGE = InstrumentKind("gauge", "a height above a plane", "the plane", 2e-6, _gauge, PLANE)
