@@ -11,20 +11,22 @@ and the eigenvalues of Z'^T M Z' are 1 / omega^2. This is for small vibrations w
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, require_kind
-from pm3dof_pin.dynamics.mass_matrix import mass_matrix
+from pm3dof_pin.dynamics.beam_masses import vibrating_mass
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.tolerances import MASSLESS
-from pm3dof_pin.typing import Matrix, Vector
+from pm3dof_pin.typing import Array, Matrix, Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,21 @@ class Modes:
     free_twists: Matrix  #: twists of the tool in the free motions, shape=(6, u)
     without_mass: int  #: number of massless modes that strain springs; they have no frequency
 
+    def body_twists(self, joints: Iterable[str]) -> Array:
+        """Return the twists [v; omega] of the bodies that joints move, at the joints, world axes, shape=(k, joints, 6).
+
+        Zero for joints that the mechanism does not have.
+        """
+        model = self.configuration.mechanism.model
+        data, names = model.createData(), list(joints)
+        pin.computeJointJacobians(model, data, np.array(self.configuration.q))
+        twists = np.zeros((self.shapes.shape[1], len(names), 6))
+        for index, name in enumerate(names):
+            if model.existJointName(name):
+                jacobian = pin.getJointJacobian(model, data, model.getJointId(name), pin.LOCAL_WORLD_ALIGNED)
+                twists[:, index] = (jacobian @ self.shapes).T
+        return twists
+
 
 def natural_modes(
     model: ElasticModel,
@@ -55,7 +72,7 @@ def natural_modes(
         >>> import pm3dof_pin as pm
         >>> model = pm.ElasticModel.load("pm3dof")
         >>> pm.natural_modes(model, model.rigid.home, count=2).frequencies.round(2)
-        array([162.59, 261.57])
+        array([162.56, 259.85])
 
     Args:
         model: the mechanism with its springs.
@@ -74,7 +91,7 @@ def natural_modes(
         raise InvalidValueError("count", count, "a nonnegative number of modes")
     elastic = model.configuration(configuration)
     motions = elastic_motions(model, elastic)
-    mass = mass_matrix(elastic, payloads=payloads)
+    mass = vibrating_mass(model, elastic, payloads=payloads)
     inverse_squares, directions, free = elastic_modes(motions, mass)
     kept = inverse_squares > 0.0
     chosen = np.flatnonzero(kept)[:count]

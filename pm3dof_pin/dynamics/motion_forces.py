@@ -8,7 +8,6 @@ import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
-from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.pose_values import evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
@@ -40,8 +39,6 @@ def drive_motions(robot: Robot, poses: Poses) -> DriveMotions:
     def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
         from pm3dof_pin.dynamics.traced import of_drives
 
-        if not robot.has_loops and nv == drives:
-            raise ProgramError(f"the joints of {robot.name} are its drives")
         return of_drives("drive_motions", robot, robot.model, q, threads)
 
     def reference(q: Vector) -> Matrix:

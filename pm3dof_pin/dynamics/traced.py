@@ -8,11 +8,12 @@ strains of unit energy as coordinates: eigenvalues of a symmetric matrix, comput
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from pm3dof_pin.dynamics.beam_masses import beam_mass_numbers, traced_consistent_masses
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.traced import Roots, elastic_program
 from pm3dof_pin.exceptions import ProgramError
@@ -184,7 +185,8 @@ def _vibrating(roots: Roots, model: pin.Model, doubt: Doubt) -> tuple[Objects, O
     strained, whitened = both[:count], both[count:]
     moved = np.hstack([motions.idle, strained])
     moved[tree.slides] = moved[tree.slides] * unit
-    inertia = _symmetric(moved, product(Masses(tree, model).matrix, moved))
+    whole = Masses(tree, model).matrix + traced_consistent_masses(elastic, tree)
+    inertia = _symmetric(moved, product(whole, moved))
     reference = sum(body.mass for body in model.inertias) * unit**2
     first = motions.idle.shape[1]
     for k in range(first):  # free motions follow such that their momentum is zero
@@ -232,8 +234,7 @@ def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int 
         elastic.mechanism.frame_name(),
         "vibrations",
         lambda roots: _vibrations(roots, model),
-        structure=tuple(masses.mass_pattern(model)),
-        numbers=masses.mass_numbers(model),
+        **_mass_parameters(elastic, model),
     )
     entries, sound = program.with_doubt(q, threads)
     return _triangles(entries, math.isqrt(2 * entries.shape[1])), sound
@@ -253,8 +254,7 @@ def vibrating_tools(
         frame,
         "vibrating_tool",
         lambda roots: _vibrating_tool(roots, model, frame),
-        structure=tuple(masses.mass_pattern(model)),
-        numbers=masses.mass_numbers(model),
+        **_mass_parameters(elastic, model),
     )
     entries, sound = program.with_doubt(q, threads)
     rows = 6 + len(elastic.spring_indices)
@@ -263,6 +263,13 @@ def vibrating_tools(
     count = size * (size + 1) // 2
     parts = entries[:, count:].reshape(len(entries), rows, size)
     return (_triangles(entries[:, :count], size), parts[:, :6], parts[:, 6:]), sound
+
+
+def _mass_parameters(elastic: ElasticModel, model: pin.Model) -> dict[str, Any]:
+    """Return the arguments of `elastic_program` for programs with the masses of vibrations."""
+    beams = beam_mass_numbers(elastic)
+    structure = (*masses.mass_pattern(model), *beams)
+    return {"structure": structure, "numbers": masses.mass_numbers(model) | beams}
 
 
 def _triangles(entries: Matrix, size: int) -> Array:

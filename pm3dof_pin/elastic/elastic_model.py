@@ -104,7 +104,7 @@ class ElasticModel:
     def __init__(self, mechanism: Robot, springs: Iterable[Spring] | None = None) -> None:
         require_kind("mechanism", mechanism, Robot, "pm.load")
         self.rigid = mechanism
-        self.springs = read_springs(mechanism.springs, mechanism.source) if springs is None else tuple(springs)
+        self.springs = _described_springs(mechanism) if springs is None else tuple(springs)
         if not self.springs:
             advice = "there are none: --drive-stiffness K (drive_stiffness=K), or `springs` in a closures file"
             raise DescriptionError(mechanism.source, "springs", advice)
@@ -301,6 +301,14 @@ class ElasticModel:
 
     def _error(self, spring: str, expected: str) -> DescriptionError:
         return DescriptionError(self.rigid.source, f"spring '{spring}'", expected)
+
+
+def _described_springs(mechanism: Robot) -> tuple[Spring, ...]:
+    model = mechanism.model
+    single = (k for k in range(1, model.njoints) if model.joints[k].nq == 1)
+    least = {model.names[k]: float(model.lowerPositionLimit[model.joints[k].idx_q]) for k in single}
+    finite = {name: position for name, position in least.items() if np.isfinite(position)}
+    return read_springs(mechanism.springs, mechanism.source, finite)
 
 
 def _block(mechanism: Robot, spring: Spring, joints: tuple[str, ...] | None) -> SpringBlock:

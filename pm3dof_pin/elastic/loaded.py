@@ -181,7 +181,7 @@ def loaded_equilibrium(
         >>> equilibrium = pm.loaded_equilibrium(model, model.rigid.home, loads)
         >>> sideways = equilibrium.configuration.tool_placement.translation[0]
         >>> print(f"{1e6 * sideways:.1f} micrometres")
-        163.9 micrometres
+        165.9 micrometres
 
     Args:
         model: the elastic mechanism.

@@ -9,8 +9,8 @@ An entry is a mapping with a `name`, a `type` and the keys of that type:
   E A; `shear_stiffness` [N], its k G A (Timoshenko). Without it a beam is rigid in shear (Euler-Bernoulli), unless its
   E A or `thickness` [m] gives the section and it is stubby: then it has that of a round bar, and a warning says so;
   `rigid` declines.
-  `mass` [kg], the part of the body before it that bends with it; `elements`, the number of equal elements, by default
-  1.
+  `mass` [kg], the part of the body before it that bends with it, and its `mass_model`, consistent (by default) or
+  lumped; `elements`, the number of equal elements, by default 1.
 - beam: any 6 x 6 stiffness of a tip; `at`, `matrix`.
 - closure: an elastic loop closure; `closure`, its index in the list of closures, from 0; `matrix`, with a row for each
   component that the closure holds, 3 x 3 for type 3d, 6 x 6 for 6d.
@@ -31,13 +31,14 @@ import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, get_args
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.description.physical_bounds import STIFFNESS
 from pm3dof_pin.description.schema import Length, Name, Positive, PositiveLength, Schema, Stiffness, checked
 from pm3dof_pin.elastic.contact_catalogue import contacts
@@ -47,6 +48,10 @@ from pm3dof_pin.tolerances import ROUNDING, SOLVED
 from pm3dof_pin.typing import Matrix
 
 JointSpringUnit = Literal["N/m", "N m/rad"]
+RIGID: Literal["rigid"] = "rigid"
+"""Shear stiffness of a beam that declines the default."""
+
+MassModel = Literal["consistent", "lumped"]
 
 _log = logging.getLogger(__name__)
 
@@ -112,7 +117,7 @@ class CantileverSpring:
     """The tip of a straight, uniform cantilever: Timoshenko's beam, or Euler and Bernoulli's if rigid in shear.
 
     Small deflections: the compliance is L^3 / (3 E I) + L / (k G A), L^2 / (2 E I), L / (E I), L / (G J) and L / (E A).
-    Its mass belongs to the rigid body before it; of that, what moves with the tip is counted there in vibration.
+    Its mass belongs to the rigid body before it, and moves as the beam bends in vibration.
     """
 
     name: str  #: its name
@@ -128,11 +133,27 @@ class CantileverSpring:
     #: k G A [N], with the shear coefficient k of its section (G. Cowper, J. Applied Mechanics 33, 1966); None for a
     #: slender beam, rigid in shear
     shear_stiffness: float | None = None
-    #: mass of the beam [kg], contained in the body at its clamp. One element moves 33/140 of it with the tip, as in the
-    #: first mode of a uniform beam (J. Rayleigh); several have half of their part at either end
+    #: mass of the beam [kg], contained in the body at its clamp. Its weight, and if `mass_model` is lumped its inertia,
+    #: is in lumps: one element moves 33/140 of it with the tip, as in the first mode of a uniform beam (J. Rayleigh);
+    #: several have half of their part at either end
     mass: float = 0.0
     loss_factor: float | None = None  #: eta of k (1 + i eta), in vibration; None if unknown
     thickness: float | None = None  #: diameter of a round bar [m], by which shear is judged; None if unknown
+    #: of vibrations: "consistent" with the bending line (:mod:`pm3dof_pin.dynamics.beam_masses`), or "lumped"
+    mass_model: MassModel = "consistent"
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The motions of an element's end, in the order of its stiffness."""
+        motions = tuple(motion for motion in TOOL_COMPONENTS if motion != "z" or self.axial_stiffness is not None)
+        return motions if self.shear_stiffness is None else (*motions, "shear_x", "shear_y")
+
+    @property
+    def squared_gyration_radius(self) -> float:
+        """Squared radius of gyration of the section about a diameter, of a round bar [m^2]; 0 if it is unknown."""
+        if self.thickness is not None:
+            return self.thickness**2 / 16.0
+        return 0.0 if self.axial_stiffness is None else self.bending_stiffness / self.axial_stiffness
 
     def shear_share(self, length: float) -> float:
         """Return the lateral give by shear relative to that by bending at a length [m], if shear were counted.
@@ -176,6 +197,8 @@ class CantileverSpring:
             raise InvalidValueError("elements", self.elements, f"a number from 1 to {MAX_ELEMENTS}")
         if self.elements > 1 and isinstance(self.length, JointLength):
             raise InvalidValueError("elements", self.elements, "1, since a joint changes the length")
+        if self.mass_model not in get_args(MassModel):
+            raise InvalidValueError("mass_model", self.mass_model, " or ".join(get_args(MassModel)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,6 +283,7 @@ class _Cantilever(_Entry):
     mass: float = 0.0
     loss_factor: float | None = None
     thickness: PositiveLength | None = None
+    mass_model: MassModel = "consistent"
 
 
 class _Beam(_Entry):
@@ -289,8 +313,12 @@ SPRING_SCHEMAS: dict[str, type[_Entry]] = {
 """The schemas of an entry of `springs`, by type."""
 
 
-def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tuple[Spring, ...]:
+def read_springs(
+    entries: Iterable[Mapping[str, Any]], source: Path | str, least_positions: Mapping[str, float] | None = None
+) -> tuple[Spring, ...]:
     """Read the `springs` of a closures file. Whether the joints and frames exist is checked by the mechanism.
+
+    Beams whose length a joint changes are stubby if they are so at its least position, by joint, or else at its zero.
 
     Raises:
         DescriptionError: an entry has no name or a duplicate one, an unknown type, a missing or unknown key, a wrong
@@ -310,30 +338,30 @@ def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tu
         try:
             form = checked(_with_contact(entry, source, element), SPRING_SCHEMAS[kind], source, element)
             values = {field.name: getattr(form, field.name) for field in fields(form.makes)}
-            is_rigid = values.get("shear_stiffness") == "rigid"
+            is_rigid = values.get("shear_stiffness") == RIGID
             spring = form.makes(**values | ({"shear_stiffness": None} if is_rigid else {}))
-            springs.append(spring if is_rigid else _with_shear(spring, source))
+            springs.append(spring if is_rigid else _with_shear(spring, source, least_positions or {}))
         except InvalidValueError as error:
             place = f"{element}.{error.name}"
             raise DescriptionError(source, place, f"is {error.value}, expected {error.expected}") from error
     return tuple(springs)
 
 
-def _with_shear(spring: Spring, source: Path | str) -> Spring:
-    """Return a stubby beam of known section with the shear of a round bar, if its file does not say.
-
-    Beams whose length a joint changes are judged at the joint's zero.
-    """
+def _with_shear(spring: Spring, source: Path | str, least_positions: Mapping[str, float]) -> Spring:
+    """Return a stubby beam of known section with the shear of a round bar, if its file does not say."""
     if not isinstance(spring, CantileverSpring) or spring.shear_stiffness is not None:
         return spring
-    length = spring.length.at_zero if isinstance(spring.length, JointLength) else spring.length
+    length, words = spring.length, ""
+    if isinstance(length, JointLength):
+        shortest = length.at_zero + least_positions.get(length.joint, 0.0)
+        length, words = shortest if shortest > 0.0 else length.at_zero, " at its shortest"
     shear = spring.estimated_shear_stiffness
     if shear is None or length <= 0.0 or (share := spring.shear_share(length)) < STUBBY:
         return spring
     _log.warning(
-        "%s: spring '%s' is %.3g m long, and shear adds %.0f %% to its lateral give. Taken: shear_stiffness %.4g N, of "
-        "a round bar; declare your own, or rigid",
-        *(source, spring.name, length, 100.0 * share, shear),
+        "%s: spring '%s' is %.3g m long%s, and shear adds %.0f %% to its lateral give. Taken: shear_stiffness %.4g N, "
+        "of a round bar; declare your own, or rigid",
+        *(source, spring.name, length, words, 100.0 * share, shear),
     )
     return replace(spring, shear_stiffness=shear)
 

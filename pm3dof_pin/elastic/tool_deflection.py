@@ -14,13 +14,16 @@ import numpy as np
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic.batch import elastic_model, evaluate
 from pm3dof_pin.elastic.quantities import compliance_by_spring
+from pm3dof_pin.elastic.springs import RIGID
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Engine
 
 _PROGRAM_FROM = 100  # poses
-_STIFFNESSES = ("stiffness", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "matrix")
+_STIFFNESSES = (
+    *("stiffness", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness", "matrix"),
+)
 
 
 def spring_deflections(poses: Poses, wrenches: Array) -> Array:
@@ -60,7 +63,7 @@ def stiffened_entries(springs: Iterable[Mapping[str, Any]], factors: Mapping[str
     """Return entries of springs, as in a closures file, with the stiffness of those named multiplied by factors."""
     return [
         {
-            key: (factor * np.asarray(value, dtype=float)).tolist() if key in _STIFFNESSES else value
+            key: (factor * np.asarray(value, dtype=float)).tolist() if key in _STIFFNESSES and value != RIGID else value
             for key, value in entry.items()
         }
         for entry, factor in ((entry, factors.get(str(entry.get("name")), 1.0)) for entry in springs)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.special
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError
@@ -47,7 +46,9 @@ def mean_radius(spreads: ArrayLike) -> Array:
     which is B. Carlson's R_G (DLMF 19.16.3).
     """
     s = np.asarray(spreads, dtype=float).clip(min=0.0)
-    return np.asarray(2.0 * np.sqrt(2.0 / np.pi) * scipy.special.elliprg(s[..., 0], s[..., 1], s[..., 2]))
+    from scipy.special import elliprg
+
+    return np.asarray(2.0 * np.sqrt(2.0 / np.pi) * elliprg(s[..., 0], s[..., 1], s[..., 2]))
 
 
 def norm_quantiles(means: Array, covariances: Array, probability: float, signed: Array | None = None) -> Array:
@@ -86,7 +87,9 @@ def norm_quantiles(means: Array, covariances: Array, probability: float, signed:
     safe_third = np.where(spreads, third, 1.0)
     freedom = np.where(spreads, 8.0 * variance**3 / safe_third**2, 1.0)
     scale = np.where(spreads, safe_third / (4.0 * np.where(spreads, variance, 1.0)), 0.0)
-    quantile = 2.0 * scipy.special.gammaincinv(0.5 * freedom, probability)
+    from scipy.special import gammaincinv
+
+    quantile = 2.0 * gammaincinv(0.5 * freedom, probability)
     return np.asarray(np.sqrt(np.maximum(first + scale * (quantile - freedom), 0.0)))
 
 

@@ -18,6 +18,11 @@ from pm3dof_pin.kinematics.robot import Robot
 
 MASSES, STIFFNESS, RATIO = (0.4, 0.33), (5.6e6, 5.6e6), 0.035
 
+# the example of Y. Altintas, by mode
+SHAPER_STIFFNESS, SHAPER_RATIOS = np.array([2.26e8, 2.13e8]), np.array([0.012, 0.010])
+SHAPER_RATES, SHAPER_CUTTING = 2.0 * np.pi * np.array([250.0, 150.0]), 1e9
+SHAPER_AXES = np.array([[math.sin(angle), math.cos(angle)] for angle in np.radians([30.0, -45.0])])
+
 
 def _slides(masses: tuple[float, float], stiffness: tuple[float, float], ratio: float) -> VibratingSystem:
     """A tool on two crossed slides; of the first, only what both carry is a mass."""
@@ -92,6 +97,65 @@ def test_simulation_in_time_chatters_above_the_lobes_only(cutting: Cutting) -> N
         assert np.isfinite(depth)
         assert not _chatters(cutting, 0.9 * depth, speed), f"{speed} 1/s"
         assert _chatters(cutting, 1.12 * depth, speed), f"{speed} 1/s"
+
+
+def _shaper() -> VibratingSystem:
+    """Two modes at 30 and -45 degrees from y, without coupling: the masses are those of rotors at the slides."""
+    model = pin.Model()
+    model.name = "shaper"
+    joint = 0
+    for name, (x, y) in zip(("first", "second"), SHAPER_AXES, strict=True):
+        joint = model.addJoint(joint, pin.JointModelPrismaticUnaligned(x, y, 0.0), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia(1e-6, np.zeros(3), 1e-9 * np.eye(3)), pin.SE3.Identity())
+    model.armature = SHAPER_STIFFNESS / SHAPER_RATES**2
+    model.addFrame(pin.Frame("tip", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    robot = Robot(model, [], actuated_joints=["first", "second"], tool_frame="tip")
+    dampers = 2.0 * SHAPER_RATIOS * SHAPER_STIFFNESS / SHAPER_RATES
+    springs = [
+        JointSpring(f"k_{name}", name, float(k), "N/m", loss_factor=0.0, damping=float(c))
+        for name, k, c in zip(("first", "second"), SHAPER_STIFFNESS, dampers, strict=True)
+    ]
+    return vibrating_system(ElasticModel(robot, springs), np.zeros(2))
+
+
+def _shaping_chatters(depths: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    """Simulate cuts in time beside each other, the force along y by the chip's thickness; do disturbances grow?"""
+    steps, passes = 160, 120
+    dt = 1.0 / (speeds * steps)
+    rates, ratios, part = SHAPER_RATES[:, None], SHAPER_RATIOS[:, None], SHAPER_AXES[:, 1:]
+    wave = np.zeros((steps, len(speeds)))
+    u, v = np.full((2, len(speeds)), 1e-6), np.zeros((2, len(speeds)))
+    sizes = np.zeros((passes, len(speeds)))
+    for turn in range(passes):
+        for i in range(steps):
+            y = (part * u).sum(axis=0)
+            force = -SHAPER_CUTTING * depths * (y - wave[i])
+            wave[i] = y
+            v = v + dt * (rates**2 * (part * force / SHAPER_STIFFNESS[:, None] - u) - 2.0 * ratios * rates * v)
+            u = u + dt * v
+        sizes[turn] = np.abs(wave).max(axis=0)
+    return np.asarray(sizes[-1] > sizes[passes // 2])
+
+
+def test_a_published_example_with_two_modes() -> None:
+    """Y. Altintas, Manufacturing Automation (2012), p. 131: a shaping process with modes at 250 and 150 Hz.
+
+    Its diagram, drawn again by J. Li (github.com/leekunhwee/Dynamics), has minima of 7.2 mm (250 Hz) and 9.5 mm.
+    """
+    system = _shaper()
+    cutting = Cutting(kc=1.0, kr=SHAPER_CUTTING, plane="yx")  # all of the force is along y
+    speeds = np.array([2400.0, 3250.0, 4050.0, 4400.0, 5000.0, 5500.0, 7000.0, 8700.0, 10000.0, 12000.0]) / 60.0
+    found = stability_lobes(system, cutting, speeds)
+    assert found.depth_limit == pytest.approx(7.2e-3, abs=0.05e-3)
+    assert 250.0 < found.chatter_frequency < 256.0
+    assert found.depths[[0, 9]] == pytest.approx(9.5e-3, abs=0.1e-3)  # least depths of the 150 Hz lobes
+    assert found.depths[[2, 5, 7]] == pytest.approx(7.2e-3, abs=0.1e-3)  # those of 250 Hz
+    frequencies = np.linspace(1.0, 400.0, 200_000)
+    r = 2.0 * np.pi * frequencies[:, None] / SHAPER_RATES
+    parts = SHAPER_AXES[:, 1] ** 2 / SHAPER_STIFFNESS / (1.0 - r**2 + 2j * SHAPER_RATIOS * r)
+    assert found.depth_limit == pytest.approx(-0.5 / (SHAPER_CUTTING * parts.sum(axis=1).real.min()), rel=2e-4)
+    assert not _shaping_chatters(0.87 * found.depths, speeds).any()
+    assert _shaping_chatters(1.15 * found.depths, speeds).all()
 
 
 def test_a_depth_is_judged_and_slow_speeds_have_the_limit_of_all() -> None:

@@ -18,9 +18,9 @@ RigidTree = Callable[..., Robot]
 
 
 @pytest.fixture(scope="session")
-def elastic(mechanism: Robot) -> ElasticModel:
-    """The chapter's machine with the springs of its description."""
-    return ElasticModel(mechanism)
+def elastic(slender: Robot) -> ElasticModel:
+    """The chapter's machine with its springs."""
+    return ElasticModel(slender)
 
 
 @pytest.fixture(scope="session")

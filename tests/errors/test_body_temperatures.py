@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import pm3dof_pin as pm
@@ -58,6 +59,30 @@ def test_one_link_of_the_hexapod_lengthens() -> None:
             robot.model.frames[robot.frame_id(frame)].placement.translation for robot in (errors.robot, warm)
         )
         np.testing.assert_allclose(after, before * (1.0 + 10.0 * EXPANSION), rtol=1e-14)
+
+
+@pytest.mark.parametrize("rise", [10.0, -10.0])
+def test_a_warm_platform_moves_the_tool_as_other_lengths_do(rise: float) -> None:
+    """Against a description with all lengths of the platform changed, and finite differences by these lengths."""
+    errors = GeometricErrors.load("hexapod")
+    poses = pm.reachable_poses(errors.robot, 5, np.random.default_rng(2))
+    joint = errors.robot.model.frames[errors.robot.frame_id("O_e")].parentJoint
+
+    def tools(strain: float) -> np.ndarray:
+        model = errors.robot.model.copy()
+        for frame in model.frames:
+            if frame.parentJoint == joint and frame.name in ("O_e", *(f"B{k}" for k in range(1, 7))):
+                frame.placement = pin.SE3(frame.placement.rotation, (1.0 + strain) * frame.placement.translation)
+        described = errors.robot.replace(model=model)
+        return np.array(described.forward(poses.commands, guess=poses.q).transforms)
+
+    heat = BodyTemperatures.from_errors(errors)
+    np.testing.assert_allclose(heat.poses(poses, {"platform": rise}), tools(rise * EXPANSION), atol=1e-11)
+    step = 1e-6
+    slopes = (tools(step) - tools(-step))[:, :3, 3] / (2.0 * step)
+    moved = heat.motions(poses, {"platform": rise})[:, :3]
+    np.testing.assert_allclose(moved, rise * EXPANSION * slopes, atol=2e-9)
+    assert np.abs(moved).max() > 1e-6
 
 
 def test_unknown_bodies_are_refused() -> None:
