@@ -20,6 +20,7 @@ from pm3dof_pin.arrays import frozen
 from pm3dof_pin.capability.serial_model import Choice, SerialModel, Spread, serial_model
 from pm3dof_pin.capability.transmission import Transmission
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Vector
 
 _CAUTIOUS: dict[str, Literal["least", "greatest"]] = {
@@ -55,6 +56,9 @@ class SerialConstants:
     #: by name, shape=(m,): armature, effort, velocity, damping, friction, kp, kd; those that are unknown are left out
     values: Mapping[str, Vector]
     spreads: Mapping[str, Spread]  #: the same over the box
+    #: accelerations of the tree with these constants by those of the closed robot, from rest under a torque about one
+    #: joint alone and without weight; None of bodies without mass
+    accelerations: Spread | None
     #: share of "effort" and "velocity" that is left over the whole box if all joints need theirs at once
     together: Mapping[str, float]
 
@@ -90,12 +94,13 @@ def serial_constants(
     """
     model = serial_model(box, kp=kp, kd=kd)
     within = box.poses.within_limits & np.isfinite(box.jacobian).all(axis=(-2, -1))
-    over = _numbers(box, tree, kp, kd)
+    tree_inertia = _tree_inertia(box, tree)
+    over = _numbers(box, tree_inertia, kp, kd)
     spreads = {name: Spread.over(values[within], _CAUTIOUS[name]) for name, values in over.items()}
     if at is None:
         values = {name: spread.chosen(choice) for name, spread in spreads.items()}
     else:
-        values = _numbers(at, tree, kp, kd)
+        values = _numbers(at, _tree_inertia(at, tree), kp, kd)
     together = {}
     if "effort" in values:
         together["effort"] = float(np.min(box.total_torques.box_share(values["effort"])[within]))
@@ -110,16 +115,17 @@ def serial_constants(
         upper=frozen(middle + model.reached_scale * half),
         values={name: frozen(value) for name, value in values.items()},
         spreads=spreads,
+        accelerations=_accelerations(tree_inertia[within] + np.diag(values["armature"]), box.inertia[within]),
         together=together,
     )
 
 
-def _numbers(at: Transmission, tree: Robot, kp: ArrayLike | None, kd: ArrayLike | None) -> dict[str, Array]:
+def _numbers(at: Transmission, tree_inertia: Array, kp: ArrayLike | None, kd: ArrayLike | None) -> dict[str, Array]:
     """Return the numbers of the joints at each pose, by name, shape=(..., m)."""
     robot, rates = at.poses.robot, np.abs(at.jacobian)
     drives = robot.actuated_indices
     damping, friction = (np.array(part)[drives] for part in (robot.model.damping, robot.model.upperDryFrictionLimit))
-    found = {"armature": _diagonal(at.inertia) - _tree_inertia(at, tree)}
+    found = {"armature": _diagonal(at.inertia - tree_inertia)}
     if np.isfinite(at.effort).all():
         found["effort"] = at.pure_total_torques
     if np.isfinite(at.speed).all():
@@ -133,16 +139,25 @@ def _numbers(at: Transmission, tree: Robot, kp: ArrayLike | None, kd: ArrayLike 
 
 
 def _tree_inertia(at: Transmission, tree: Robot) -> Array:
-    """Return the inertia that a tree has at each of the joints, shape=(..., m) [kg m^2, kg]."""
+    """Return the inertia of a tree at the joints, shape=(..., m, m) [kg m^2, kg]."""
     joints = [tree.single_joint(name) for name in at.joints]
     rates = [joint.v_index for joint in joints]
     data, q = tree.model.createData(), np.array(tree.home.q)
-    rows = []
-    for values in at.poses.coordinates.reshape(-1, len(joints)):
-        for joint, value in zip(joints, values, strict=True):
+    found = np.full((*at.poses.shape, len(joints), len(joints)), np.nan)
+    for index in map(tuple, np.argwhere(np.isfinite(at.poses.coordinates).all(axis=-1))):
+        for joint, value in zip(joints, at.poses.coordinates[index], strict=True):
             joint.set_coordinate(q, value)
-        rows.append(np.diag(pin.crba(tree.model, data, q))[rates] if np.isfinite(values).all() else values * np.nan)
-    return np.reshape(rows, at.poses.coordinates.shape)
+        upper = np.triu(pin.crba(tree.model, data, q))
+        found[index] = (upper + np.triu(upper, 1).T)[np.ix_(rates, rates)]
+    return found
+
+
+def _accelerations(tree: Array, closed: Array) -> Spread | None:
+    """Return what a torque about each joint alone makes of one inertia by what it makes of the other."""
+    if not all((np.linalg.cond(inertia) < 1.0 / ROUNDING).all() for inertia in (tree, closed)):
+        return None
+    one, other = (_diagonal(np.asarray(np.linalg.inv(inertia), dtype=float)) for inertia in (tree, closed))
+    return Spread.over(one / other, "least")
 
 
 def _diagonal(matrices: Array) -> Array:

@@ -20,7 +20,7 @@ def _columns(transmission: Transmission) -> dict[str, Array]:
     """Return the table of a transmission: a column for each number, shape=(n,), named with its unit."""
     joints, drives = transmission.joints, transmission.drives
     robot = transmission.poses.robot
-    coordinates = transmission.poses.coordinates.reshape(-1, len(joints))
+    coordinates = transmission.asked.reshape(-1, len(joints))
     commands = transmission.poses.commands.reshape(-1, len(drives))
     found = {f"{c.name}_{c.unit}": column for c, column in zip(robot.coordinates, coordinates.T, strict=True)}
     found |= {f"{c.name}_{c.unit}": column for c, column in zip(robot.command_coordinates, commands.T, strict=True)}

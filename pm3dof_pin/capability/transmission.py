@@ -21,11 +21,13 @@ from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.pose_values import BatchOptions
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.loads import Payloads
+from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Vector
 
 Limit: TypeAlias = float | Mapping[str, float] | ArrayLike | None
@@ -114,6 +116,9 @@ class Transmission:
     joints: tuple[str, ...]  #: names of the m joints
     drives: tuple[str, ...]  #: names of the u actuated joints
     poses: Poses  #: the poses
+    asked: (
+        Array  #: values of the joints that were asked for, also where these are out of reach, shape=(..., m) [rad, m]
+    )
     jacobian: Array  #: G, rates of the drives by those of the joints, shape=(..., u, m)
     #: second derivatives H of the drives' positions by those of the joints, shape=(..., u, m, m): the drives accelerate
     #: by G a + v^T H v
@@ -128,29 +133,25 @@ class Transmission:
     def axes(self) -> tuple[Vector, ...]:
         """Values of each joint along its dimension of a grid of poses, shape=(n,) each [rad, m].
 
-        Where all poses of a value are out of reach, it continues the others evenly.
-
         Raises:
-            InvalidValueError: the poses are not a grid with one dimension for each joint, in their order.
+            InvalidValueError: the poses are not a grid with one dimension for each joint, in their order; or solved
+                poses were given, and all of a value are out of reach.
         """
-        values, count = self.poses.coordinates, len(self.joints)
-        if self.poses.coordinates.ndim != count + 1:
+        count = len(self.joints)
+        if self.asked.ndim != count + 1:
             raise InvalidValueError(
                 "transmission", f"poses of shape {self.poses.shape}", f"a grid with {count} dimensions"
             )
         axes = []
         for k, joint in enumerate(self.joints):
-            lines = np.moveaxis(values[..., k], k, 0).reshape(self.poses.shape[k], -1)
-            known = np.flatnonzero(np.isfinite(lines).any(axis=1))
-            middle, spread = np.nanmean(lines[known], axis=1), np.nanmax(lines[known], axis=1, initial=-np.inf)
-            if (spread - middle > _SAME_VALUE).any():
+            lines = np.moveaxis(self.asked[..., k], k, 0).reshape(self.asked.shape[k], -1)
+            if np.isnan(lines).all(axis=1).any():
+                raise InvalidValueError("transmission", f"no pose at a value of {joint}", "a grid instead of its poses")
+            axis = np.nanmin(lines, axis=1)
+            if (np.nanmax(lines, axis=1) - axis > _SAME_VALUE).any():
                 raise InvalidValueError(
                     "transmission", f"a grid along which {joint} varies twice", ", ".join(self.joints)
                 )
-            axis = np.full(len(lines), np.nan if not known.size else middle[0])
-            if known.size > 1:
-                axis = np.polyval(np.polyfit(known, middle, 1), np.arange(len(lines)))
-            axis[known] = middle
             axes.append(frozen(axis))
         return tuple(axes)
 
@@ -235,6 +236,9 @@ class Transmission:
     def drive_gains(self, gains: ArrayLike) -> Array:
         """Return the gains of the drives that give gains of the joints: G^-T K G^-1, shape=(..., u, u).
 
+        Drives with controllers of their own have only its diagonal, which gives the joints :meth:`joint_gains` of it.
+        NaN where the drives lose a joint.
+
         Args:
             gains: of each joint, shape=(m,), or a matrix, shape=(m, m).
 
@@ -246,7 +250,9 @@ class Transmission:
             raise InvalidValueError("drives", f"{len(self.drives)} drives", f"{count}, as many as joints")
         given = np.asarray(gains, dtype=float)
         matrix = np.diag(np.broadcast_to(given, (count,))) if given.ndim < 2 else given
-        inverse = np.linalg.inv(self.jacobian)
+        inverse = np.full_like(self.jacobian, np.nan)
+        sound = self.distance_to_singularity > ROUNDING
+        inverse[sound] = np.linalg.inv(self.jacobian[sound])
         return np.asarray(inverse.swapaxes(-1, -2) @ matrix @ inverse)
 
     def _torques(self, effort: Vector, centre: ArrayLike) -> Polytopes:
@@ -263,7 +269,7 @@ class Transmission:
 
 def transmission(
     robot: Robot,
-    values: ArrayLike | Poses,
+    values: Grid | ArrayLike | Poses,
     *,
     effort: Limit = None,
     speed: Limit = None,
@@ -284,7 +290,7 @@ def transmission(
 
     Args:
         robot: the robot; see :func:`joint_driven` for one with joints as coordinates.
-        values: of the joints, shape=(..., m) [rad, m]; or solved poses.
+        values: a grid over the joints, or their values, shape=(..., m) [rad, m]; or solved poses.
         effort: limits of the drives' torques or forces [N m, N].
         speed: limits of their rates [rad/s, m/s].
         armature: inertia of the rotors, as felt at the actuated joints [kg m^2, kg]; by default the description's.
@@ -302,7 +308,11 @@ def transmission(
         problem = f"the drives ({', '.join(drives)}) cannot determine {', '.join(names)}"
         problem = problem if drives else "there are no drives"
         raise SingularConfigurationError(f"{robot.name}: {problem}: name the driven joints, as with --drives A,B")
-    poses = values if isinstance(values, Poses) else robot.solve(values, on_failure=options.get("on_failure", "raise"))
+    if isinstance(values, Poses):
+        poses, asked = values, values.coordinates
+    else:
+        poses = robot.solve(values, on_failure=options.get("on_failure", "raise"))
+        asked = values.values if isinstance(values, Grid) else np.array(values, dtype=float)
     found = jacobian(robot, poses, of=drives, by=names, with_derivatives=True, **options)
     assert found.derivatives is not None
     masses = motion_dynamics(robot, poses, by=names, payloads=payloads, **options)
@@ -314,6 +324,7 @@ def transmission(
         joints=names,
         drives=drives,
         poses=poses,
+        asked=frozen(asked),
         jacobian=found.values,
         jacobian_derivatives=found.derivatives,
         rotor_inertia=frozen(reflected),
@@ -328,7 +339,7 @@ def drive_values(robot: Robot, name: Literal["effort", "speed", "armature"], giv
     """Return one nonnegative number for each drive: those given, or else those described, shape=(u,).
 
     Efforts and speeds that are not described are infinite. A described effort is the least of the joint's and of what
-    its actuators give: their force ranges, and the control ranges of motors, times the gears.
+    its actuators give: their force ranges, and the control ranges of motors times their gains, times the gears.
 
     Raises:
         InvalidValueError: a number is negative or not finite, or a name is that of no drive.
@@ -360,9 +371,16 @@ def _actuator_efforts(robot: Robot) -> Vector:
         efforts = []
         for drive in robot.description.drives:
             if drive.joint == joint:
-                ranges = [drive.force_range, drive.control_range if drive.kind == "motor" else None]
+                ranges = [(drive.force_range, 1.0)]
+                if drive.kind == "motor":
+                    gain = 1.0 if drive.control_gain is None else abs(drive.control_gain)
+                    ranges.append((drive.control_range, gain))
                 # of a range to one side only, this says nothing about the other
-                ends = [min(-ends[0], ends[1]) for ends in ranges if ends is not None and ends[0] < 0.0 < ends[1]]
+                ends = [
+                    factor * min(-ends[0], ends[1])
+                    for ends, factor in ranges
+                    if ends is not None and ends[0] < 0.0 < ends[1]
+                ]
                 efforts.append(abs(drive.gear) * min(ends, default=np.inf))
         if efforts and sum(efforts) > 0.0:
             found[k] = sum(efforts)

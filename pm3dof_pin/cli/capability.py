@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.capability.tool_capability import ToolCapability, tool_capability
 from pm3dof_pin.cli.options import (
     AppliedWrenches,
@@ -14,6 +15,7 @@ from pm3dof_pin.cli.options import (
     MachineOptions,
     Payload,
     PoseOptions,
+    Twists,
     payloads_of,
 )
 from pm3dof_pin.cli.output import table_lines
@@ -38,6 +40,7 @@ def capability(
         typer.Option(metavar=_LIMITS, help="Their speed [m/s, rad/s]; the description's by default."),
     ] = None,
     wrench: AppliedWrenches = None,
+    twist: Twists = None,
     payload: Payload = 0.0,
     as_json: Json = False,
 ) -> None:
@@ -45,12 +48,13 @@ def capability(
 
     Along and about each axis of the base, to either side, with no other load; "-" where nothing limits it, as the
     structure alone carries the load. With --wrench, the share of the drives' efforts that these wrenches on the
-    environment leave. Gravity counts. A pose that breaks a joint limit is still computed, with a message and exit
+    environment leave, and how many times each of them is held; with --twist, how many times as fast the tool can move
+    so. Gravity counts. A pose that breaks a joint limit is still computed, with a message and exit
     status 1.
     """
     robot = which.load()
     limits: Any = limits_of_drives(robot, effort=effort, speed=speed) | {"payloads": payloads_of(robot, payload)}
-    wrenches = [list(entry) for entry in wrench or ()]
+    wrenches, twists = ([list(entry) for entry in entries or ()] for entries in (wrench, twist))
 
     def columns(poses: Poses) -> dict[str, Array]:
         at = tool_capability(robot, poses, on_failure="nan", **limits)
@@ -62,7 +66,7 @@ def capability(
     if (pose := solve_chosen(robot, chosen, columns, as_json)) is None:
         return
     at = tool_capability(robot, pose, **limits)
-    result = {"payload_kg": payload, "within_limits": bool(pose.within_limits)} | _result(at, wrenches)
+    result = {"payload_kg": payload, "within_limits": bool(pose.within_limits)} | _result(at, wrenches, twists)
     print_at_pose(pose, result, _lines(result), as_json=as_json)
 
 
@@ -71,7 +75,7 @@ def _forces(at: ToolCapability) -> Array:
     return np.stack([np.minimum(at.greatest_wrench(a), at.greatest_wrench(-a)) for a in np.eye(6)], axis=-1)
 
 
-def _result(at: ToolCapability, wrenches: list[list[float]]) -> dict[str, Any]:
+def _result(at: ToolCapability, wrenches: list[list[float]], twists: list[list[float]]) -> dict[str, Any]:
     result: dict[str, Any] = {"drives": at.drives}
     if np.isfinite(at.effort).all():
         pushes = {
@@ -81,22 +85,35 @@ def _result(at: ToolCapability, wrenches: list[list[float]]) -> dict[str, Any]:
             "effort": at.effort,
             "greatest_force_N": {sign: values[:3] for sign, values in pushes.items()},
             "greatest_torque_N_m": {sign: values[3:] for sign, values in pushes.items()},
-            "force_polytope_N": _vertices(at),
+            "force_polytope_N": _forces_at_once(at),
         }
     if np.isfinite(at.speed).all():
         speeds = [at.greatest_twist(a) for a in np.eye(6)]
         result |= {"speed": at.speed, "greatest_speed_m_s": speeds[:3], "greatest_speed_rad_s": speeds[3:]}
+        result["speed_polytope_m_s"] = _velocities(at)
     if wrenches:
-        result |= {"wrenches": wrenches, "effort_left": [float(at.effort_left(entry)) for entry in wrenches]}
+        result |= {
+            "wrenches": wrenches,
+            "effort_left": [float(at.effort_left(entry)) for entry in wrenches],
+            "times_held": [float(at.greatest_wrench(entry)) for entry in wrenches],
+        }
+    if twists:
+        result |= {"twists": twists, "times_reached": [float(at.greatest_twist(entry)) for entry in twists]}
     return result
 
 
-def _vertices(at: ToolCapability) -> Array | None:
+def _forces_at_once(at: ToolCapability) -> Array | None:
     """Return the vertices of the forces without moments; None if they are unbounded."""
     try:
         return at.wrenches.pulled_back(np.eye(6)[:, :3]).vertices()
     except InvalidValueError:
         return None
+
+
+def _velocities(at: ToolCapability) -> Array:
+    """Return the velocities of the tool's point, whatever its rotation, whose convex hull is the speed polytope."""
+    rates = Polytopes.from_inequalities(at.drive_rates, -at.speed, at.speed).vertices()
+    return np.asarray(rates @ at.tool_rates[:3].T)
 
 
 def _lines(result: dict[str, Any]) -> list[str]:
@@ -115,11 +132,18 @@ def _lines(result: dict[str, Any]) -> list[str]:
     header += ["push +", "push -", ""] if "greatest_force_N" in result else []
     header += ["speed", ""] if "greatest_speed_m_s" in result else []
     lines = [line.rstrip() for line in table_lines(header, rows)] if len(header) > 1 else []
-    for entry, left in zip(result.get("wrenches", []), result.get("effort_left", []), strict=True):
-        words = " ".join(f"{number:g}" for number in entry)
+    shares = (result.get(key, []) for key in ("wrenches", "effort_left", "times_held"))
+    for entry, left, times in zip(*shares, strict=True):
         state = "is held" if left >= 0.0 else "is not held"
-        lines.append(f"wrench {words} {state}: {100.0 * left:.1f} % of the most loaded drive's effort left")
+        words = f"{100.0 * left:.1f} % of the most loaded drive's effort left, at most {times:.4g} times as much"
+        lines.append(f"wrench {_words(entry)} {state}: {words}")
+    for entry, times in zip(result.get("twists", []), result.get("times_reached", []), strict=True):
+        lines.append(f"twist {_words(entry)}: at most {times:.4g} times as fast")
     return lines
+
+
+def _words(entry: list[float]) -> str:
+    return " ".join(f"{number:g}" for number in entry)
 
 
 def _number(value: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated
 
 import typer
 
@@ -27,14 +27,6 @@ def export_serial(
     degree: Annotated[
         int | None, typer.Option(metavar="N", help="Also fit the drives' positions by polynomials of this degree.")
     ] = None,
-    to: Annotated[
-        str,
-        typer.Option(
-            "--to",
-            metavar="A,B",
-            help="Also write the mapping between joints and drives as functions: numpy, jax, torch, casadi, c.",
-        ),
-    ] = "",
     out: Annotated[Path, typer.Option("--out", help="Output folder, created if missing.")] = Path("results/serial"),
     meshes: Annotated[bool, typer.Option(help="Include meshes and their files.")] = True,
     as_json: Json = False,
@@ -48,17 +40,12 @@ def export_serial(
     """
     from pm3dof_pin.capability.mapping_fit import fit_mapping
     from pm3dof_pin.capability.serial_constants import serial_constants
-    from pm3dof_pin.export.functions import Quantity, Target, export_functions
     from pm3dof_pin.export.serial import constant_lines, serial_entries, serial_tree, write_serial
     from pm3dof_pin.kinematics.robot import Robot
 
     given = [name for name, value in (("--at", at), ("--worst", worst), ("--least-wrong", least_wrong)) if value]
     if len(given) > 1:
         raise typer.BadParameter(f"expected one of {' and '.join(given)}")
-    libraries: list[Any] = list(dict.fromkeys(name.strip() for name in to.split(",") if name.strip()))
-    known = [name for choice in get_args(Target) for name in (get_args(choice) or (choice,))]
-    if unknown := [name for name in libraries if name not in known]:
-        raise typer.BadParameter(f"--to {unknown[0]}: expected some of {', '.join(known)}")
     robot = which.load()
     part = options.part(robot)
     tree = serial_tree(robot, part)
@@ -72,9 +59,7 @@ def export_serial(
         **options.gains_of(part),
     )
     fit = None if degree is None else fit_mapping(box, degree)
-    files = write_serial(robot, tree, constants, out, fit=fit, meshes=meshes)
-    for library in libraries:
-        of: list[Quantity] = ["commands"] if library == "c" else ["commands", "coordinates", "jacobian"]
-        files += export_functions(part, of, library, out / "functions")
+    functions = options.write_functions(part, out)
+    files = [*write_serial(robot, tree, constants, out, fit=fit, meshes=meshes), *functions]
     result = {"robot": robot.name} | serial_entries(constants, fit)
     print_result(result, constant_lines(constants, fit), as_json=as_json, files=files)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 import typer
@@ -12,20 +13,30 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.capability.serial_model import SerialModel, Spread, serial_model
 from pm3dof_pin.capability.table import write_tables
 from pm3dof_pin.capability.transmission import Transmission
-from pm3dof_pin.cli.options import Json, PlaceOptions, RobotOptions
+from pm3dof_pin.cli.options import Json, PlaceOptions, RobotOptions, numbers_by_name
 from pm3dof_pin.cli.output import fixed, message, print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
 from pm3dof_pin.cli.poses import place
 from pm3dof_pin.cli.transmission_options import TransmissionOptions
 from pm3dof_pin.description.coordinates import shown_in
 from pm3dof_pin.files import write_text_atomically
-from pm3dof_pin.typing import Array
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array, Vector
+
+JointGain: TypeAlias = Annotated[
+    str | None, typer.Option(metavar="N|JOINT=N,..", help="A gain of the joints, whose gains at the drives are asked.")
+]
+
+
+_GAIN_KEYS = {"kp": "stiffness_N_m_rad", "kd": "damping_N_m_s_rad"}
 
 
 def transmission(
     which: RobotOptions,
     chosen: PlaceOptions,
     options: TransmissionOptions,
+    joint_kp: JointGain = None,
+    joint_kd: JointGain = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the table over the box (CSV and NetCDF), pictures, and a page: what to type."),
@@ -37,18 +48,26 @@ def transmission(
 
     At a pose of the joints: the mapping between drives and joints, apparent inertia, torque and speed limits. Over the
     box of --over: the range of each, and the constant that is least wrong. Limits that are unknown are left out, and
-    torques given in multiples of the drives' effort.
+    torques given in multiples of the drives' effort. Gains of the drives become gains of the joints with --gains; those
+    of the joints become gains of the drives with --joint-kp and --joint-kd, a matrix, and its diagonal.
     """
     robot = options.part(which.load())
     gains = options.gains_of(robot)
+    given = {"kp": joint_kp, "kd": joint_kd}
+    wanted = {name: _joint_gains(robot, f"--joint-{name}", text) for name, text in given.items() if text}
     box = options.box(robot)
     at = options.at(place(robot, chosen))
     model = serial_model(box, **gains)
-    result = {"robot": robot.name} | _transmission_result(at, **gains) | {"box": _serial_model_result(model)}
+    result = {"robot": robot.name} | _transmission_result(at, **gains) | _drive_gains_result(at, wanted)
+    result["box"] = _serial_model_result(model) | _drive_gains_over(box, wanted)
     files = []
     if out is not None:
-        files = [*write_tables(box, out), *_write_report(model, box, out, formats)]
-    print_result(result, [*_lines(at), "", *_box_lines(model)], as_json=as_json, files=files)
+        functions = options.write_functions(robot, out)
+        files = [*write_tables(box, out), *functions, *_write_report(model, box, out, formats, functions)]
+    elif options.to:
+        raise typer.BadParameter("--to needs a folder: --out DIR")
+    lines = [*_lines(at), *_drive_gains_lines(at, wanted), "", *_box_lines(model)]
+    print_result(result, lines, as_json=as_json, files=files)
     if set(at.joints) == {command.name for command in at.poses.robot.commands}:
         message("pm3dof: these coordinates are the drives' own: name the joints of the serial model with --joints A,B")
     unknown = [name for name, spread in (("--effort", model.torque), ("--speed", model.speed)) if spread is None]
@@ -59,14 +78,63 @@ def transmission(
         )
 
 
-def _write_report(model: SerialModel, box: Transmission, out: Path, formats: list[PictureFormat] | None) -> list[Path]:
-    """Write pictures and the page that answers what to type."""
+def _joint_gains(robot: Robot, option: str, text: str) -> Vector:
+    """Return a gain of each joint; wrong usage ends the command with status 2."""
+    given, names = numbers_by_name(option, text), [coordinate.name for coordinate in robot.coordinates]
+    gains = given if isinstance(given, dict) else dict.fromkeys(names, given or 0.0)
+    if set(gains) != set(names) or min(gains.values()) < 0.0:
+        raise typer.BadParameter(f"{option} {text}: expected a number, not negative, for each of {', '.join(names)}")
+    if len(robot.actuated_joints) != len(names):
+        raise typer.BadParameter(f"{option}: expected as many drives as joints, not {len(robot.actuated_joints)}")
+    return np.array([gains[name] for name in names])
+
+
+def _drive_gains_result(at: Transmission, wanted: Mapping[str, Vector]) -> dict[str, Any]:
+    """Return the drives' gains that give those of the joints, and what the diagonal alone gives the joints."""
+    found = {}
+    for name, gains in wanted.items():
+        key, full = _GAIN_KEYS[name], at.drive_gains(gains)
+        found[f"drive_{key}"] = full
+        found[f"joint_{key}_of_diagonal"] = at.joint_gains(np.diag(full))
+    return found
+
+
+def _drive_gains_over(box: Transmission, wanted: Mapping[str, Vector]) -> dict[str, Any]:
+    """Return the ends, over the box, of the diagonal of the drives' gains that give those of the joints."""
+    within, found = box.poses.within_limits, {}
+    for name, gains in wanted.items():
+        spread = Spread.over(np.einsum("...ii->...i", box.drive_gains(gains))[within], "least")
+        found[f"drive_{_GAIN_KEYS[name]}"] = {
+            drive: {"least": float(low), "greatest": float(high)}
+            for drive, low, high in zip(box.drives, spread.least, spread.greatest, strict=True)
+        }
+    return found
+
+
+def _drive_gains_lines(at: Transmission, wanted: Mapping[str, Vector]) -> list[str]:
+    lines = []
+    for name, gains in wanted.items():
+        full = _cleaned(at.drive_gains(gains))
+        for words, names, matrix in (
+            (f"{name} of the drives, for {name} of the joints", at.drives, full),
+            (f"{name} of the joints by its diagonal alone", at.joints, _cleaned(at.joint_gains(np.diag(full)))),
+        ):
+            rows = [[each, *(f"{entry:.6g}" for entry in row)] for each, row in zip(names, matrix, strict=True)]
+            lines += ["", *table_lines([words, *names], rows)]
+    return lines
+
+
+def _write_report(
+    model: SerialModel, box: Transmission, out: Path, formats: list[PictureFormat] | None, functions: list[Path]
+) -> list[Path]:
+    """Write pictures and the page that answers what to type, with links to the mapping as functions."""
     from pm3dof_pin.figures.transmission import transmission_pictures
     from pm3dof_pin.figures.transmission_report import transmission_report
 
     pictures = transmission_pictures(box)
     files = [file for name, figure in pictures.items() for file in save(figure, out / f"{name}.png", formats)]
-    page = transmission_report(box.poses.robot.name, model, pictures)
+    links = [file.relative_to(out).as_posix() for file in functions]
+    page = transmission_report(box.poses.robot.name, model, pictures, links)
     return [*files, write_text_atomically(out / "report.html", page)]
 
 
@@ -104,9 +172,9 @@ def _transmission_result(
             "speed_facets": {"normals": at.speeds.normals, "offsets_rad_s": at.speeds.offsets},
         }
     if kp is not None:
-        result["joint_stiffness_N_m_rad"] = at.joint_gains(kp)
+        result[f"joint_{_GAIN_KEYS['kp']}"] = at.joint_gains(kp)
     if kd is not None:
-        result["joint_damping_N_m_s_rad"] = at.joint_gains(kd)
+        result[f"joint_{_GAIN_KEYS['kd']}"] = at.joint_gains(kd)
     return result
 
 
@@ -186,8 +254,8 @@ def _box_lines(model: SerialModel) -> list[str]:
     lines = [f"over {', '.join(ends)}"]
     if model.unreached:
         lines.append(
-            f"{100.0 * model.unreached:.1f} % of these poses are out of reach or beyond limits; none is in the box of "
-            f"{model.reached_scale:.2f} times the size about the same centre"
+            f"{100.0 * model.unreached:z.1f} % of these poses are out of reach or beyond limits; none is in the box of "
+            f"{model.reached_scale:z.2f} times the size about the same centre"
         )
     if len(model.joints) > 1:
         lines.append(f"distance to singularity {model.distance_to_singularity:.3g} or more")
@@ -195,10 +263,10 @@ def _box_lines(model: SerialModel) -> list[str]:
     for words, units, spread in _quantities(model).values():
         columns = (spread.least, spread.greatest, spread.least_wrong, spread.error)
         for joint, unit, low, high, typed, error in zip(model.joints, model.units, *columns, strict=True):
-            numbers = (f"{low:.4g}", f"{high:.4g}", f"{typed:.4g}", f"±{100.0 * error:.0f} %")
+            numbers = (f"{low:.4g}", f"{high:.4g}", f"{typed:.4g}", f"±{100.0 * error:z.0f} %")
             rows.append([words, joint, units[unit == "rad"], *numbers])
             words = ""
     lines += table_lines(["", "", "", "least", "greatest", "least wrong", "off by"], rows, words=3)
     if model.coupling:
-        lines.append(f"rotors couple the joints by up to {100.0 * model.coupling:.0f} % of their own inertia")
+        lines.append(f"rotors couple the joints by up to {100.0 * model.coupling:z.0f} % of their own inertia")
     return lines

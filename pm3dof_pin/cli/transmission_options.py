@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -15,6 +16,7 @@ from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNo
 
 if TYPE_CHECKING:
     from pm3dof_pin.capability.transmission import Transmission
+    from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.typing import Vector
@@ -59,6 +61,13 @@ class TransmissionOptions:
     gains: Annotated[
         str | None, typer.Option(metavar="KP,KD", help="Gains of each drive; the description's by default.")
     ] = None
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="A,B",
+            help="Also write the mapping between joints and drives as functions: numpy, jax, torch, casadi, c.",
+        ),
+    ] = ""
     payload: Payload = 0.0
 
     def part(self, robot: Robot) -> Robot:
@@ -73,12 +82,15 @@ class TransmissionOptions:
             raise typer.BadParameter(str(error)) from error
 
     def at(self, poses: Poses) -> Transmission:
-        """Compute the transmission at poses within the given limits; those that are out of reach are NaN."""
+        """Compute the transmission at one pose, of the given limits."""
+        return self._of(poses.robot, poses)
+
+    def _of(self, robot: Robot, values: Poses | Grid) -> Transmission:
         from pm3dof_pin.capability.transmission import transmission
 
-        limits: Any = limits_of_drives(poses.robot, effort=self.effort, speed=self.speed, armature=self.armature)
-        limits["payloads"] = payloads_of(poses.robot, self.payload)
-        return transmission(poses.robot, poses, on_failure="nan" if poses.shape else "raise", **limits)
+        limits: Any = limits_of_drives(robot, effort=self.effort, speed=self.speed, armature=self.armature)
+        limits["payloads"] = payloads_of(robot, self.payload)
+        return transmission(robot, values, on_failure="nan" if values.shape else "raise", **limits)
 
     def box(self, robot: Robot) -> Transmission:
         """Compute the transmission over the box: the given ranges, and those declared of all other joints."""
@@ -95,7 +107,21 @@ class TransmissionOptions:
         ranges = [*(self.over or ()), *declared_ranges(robot, others, [points] * len(others))]
         order = [coordinate.name for coordinate in robot.coordinates]
         ranges.sort(key=lambda entry: order.index(entry.name) if entry.name in order else -1)
-        return self.at(robot.solve(robot_grid(robot, ranges), on_failure="nan"))
+        return self._of(robot, robot_grid(robot, ranges))
+
+    def write_functions(self, robot: Robot, folder: Path) -> list[Path]:
+        """Write the mapping for the libraries of --to, into `functions` of a folder; return the files."""
+        from pm3dof_pin.export.functions import Quantity, Target, export_functions
+
+        libraries: list[Any] = list(dict.fromkeys(_names(self.to)))
+        known = [name for choice in get_args(Target) for name in (get_args(choice) or (choice,))]
+        if unknown := [name for name in libraries if name not in known]:
+            raise typer.BadParameter(f"--to {unknown[0]}: expected some of {', '.join(known)}")
+        files = []
+        for library in libraries:
+            of: list[Quantity] = ["commands"] if library == "c" else ["commands", "coordinates", "jacobian"]
+            files += export_functions(robot, of, library, folder / "functions")
+        return files
 
     def gains_of(self, robot: Robot) -> dict[str, Vector | float | None]:
         """Return the gains of the drives as "kp" and "kd": those given, or those that all drives are described with."""

@@ -22,6 +22,7 @@ from pm3dof_pin.elastic.traced import elastic_program
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
+from pm3dof_pin.export.template import docstring
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.poses import Poses
@@ -149,11 +150,11 @@ def _module(controller: Controller, of: Sequence[Quantity], to: Library) -> str:
     }
     golden = _golden(robot, of, poses)
     units = {
-        "coordinates": ", ".join(f"{c.name} [{c.unit}]" for c in robot.coordinates),
-        "commands": ", ".join(f"{c.name} [{c.unit}]" for c in robot.command_coordinates),
+        "coordinates": ", ".join(f"{docstring(c.name)} [{c.unit}]" for c in robot.coordinates),
+        "commands": ", ".join(f"{docstring(c.name)} [{c.unit}]" for c in robot.command_coordinates),
     }
     lines = [
-        f'"""{robot.name!r} as functions for {to}, written by pm3dof export function: batched, differentiable.',
+        f'"""{docstring(robot.name)} for {to}, written by pm3dof export function: batched, differentiable.',
         "",
         f"coordinates: {units['coordinates']}",
         f"commands: {units['commands']}",

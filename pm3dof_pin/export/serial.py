@@ -154,8 +154,12 @@ def constant_lines(constants: SerialConstants, fit: MappingFit | None = None) ->
         for name, value in constants.values.items():
             spread, shown = constants.spreads[name], UNITS[name][unit == "rad"]
             error = 100.0 * constants.errors[name][k]
-            ends = f"{spread.least[k]:.4g} to {spread.greatest[k]:.4g}"
-            lines.append(f"{joint}: {name} {value[k]:.4g} {shown}; over the box {ends}, off by up to {error:.0f} %")
+            over = f"{spread.least[k]:.4g} to {spread.greatest[k]:.4g}"
+            lines.append(f"{joint}: {name} {value[k]:.4g} {shown}; over the box {over}, off by up to {error:.0f} %")
+    if starts := constants.accelerations:
+        ends = zip(model.joints, starts.least, starts.greatest, strict=True)
+        ratios = ", ".join(f"{joint} {low:.2f} to {high:.2f}" for joint, low, high in ends)
+        lines.append(f"Under the same torque joints start {ratios} times as fast as the closed robot's, over the box.")
     for name, share in constants.together.items():
         lines.append(f"All joints at once have {100 * share:.0f} % of these limits of {name} everywhere in the box.")
     if model.coupling:
@@ -185,6 +189,9 @@ def serial_entries(constants: SerialConstants, fit: MappingFit | None = None) ->
         "together": dict(constants.together),
         "rotor_coupling": model.coupling,
     }
+    if starts := constants.accelerations:
+        ends = {"least": starts.least.tolist(), "greatest": starts.greatest.tolist()}
+        result["acceleration_by_that_of_closed_robot"] = ends
     for name, value in constants.values.items():
         spread = constants.spreads[name]
         result[name] = {

@@ -15,9 +15,11 @@ from matplotlib.patches import Polygon
 
 from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.capability.transmission import Transmission
+from pm3dof_pin.figures.color_scale import color_scale
 from pm3dof_pin.figures.labels import axis_label, drawn, part_words, plain
+from pm3dof_pin.figures.outlined_mesh import draw_map, outlined_mesh
 from pm3dof_pin.figures.style import COLORMAP, TWO_COLUMNS, house_style, new_figure, round_ticks
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Mask
 
 _GRID = 5  # polytopes along each joint
 _LINES = 5  # of constant second joint
@@ -107,7 +109,7 @@ def _around(points: Array) -> Array:
 
 def _joint_maps(box: Transmission) -> Figure:
     """Draw apparent inertia and greatest pure torque of each of the first two joints."""
-    (first, across), (second, up) = _axes(box)
+    (_, across), (_, up) = _axes(box)
     rotors = bool(np.nanmax(np.abs(box.rotor_inertia), initial=0.0) > 0.0)
     inertia = np.einsum("...ii->...i", box.rotor_inertia if rotors else box.inertia)
     known = bool(np.isfinite(box.effort).all())
@@ -120,7 +122,7 @@ def _joint_maps(box: Transmission) -> Figure:
         panels = figure.subplots(2, 2, sharex=True, sharey=True)
         for row, ((words, unit), values) in zip(panels, maps.items(), strict=True):
             for k, panel in enumerate(row):
-                _map(figure, panel, first, second, _section(box, values)[..., k], unit)
+                _map(figure, panel, box, _section(box, values)[..., k], unit)
                 panel.set_title(f"{words}, {plain(box.joints[k])}")
         for panel in panels[-1]:
             panel.set_xlabel(across)
@@ -131,15 +133,26 @@ def _joint_maps(box: Transmission) -> Figure:
     return figure
 
 
-def _map(figure: Figure, panel: Axes, first: Array, second: Array, values: Array, unit: str) -> None:
-    if not np.isfinite(values).any():
+def _map(figure: Figure, panel: Axes, box: Transmission, values: Array, unit: str) -> None:
+    """Draw values over the first two joints up to the limits; nothing if there are none."""
+    inside = np.isfinite(values)
+    if not inside.any():
         panel.set_visible(False)
         return
-    if np.ptp(values[np.isfinite(values)]) > 1e-9 * np.nanmax(np.abs(values)):
-        drawn_map: Any = panel.contourf(first, second, values.T, levels=12, cmap=COLORMAP)
-    else:
-        drawn_map = panel.pcolormesh(first, second, values.T, cmap=COLORMAP)
-    figure.colorbar(drawn_map, ax=panel, pad=0.03).set_label(unit)
+    robot, middle = box.poses.robot, np.array([axis[len(axis) // 2] for axis in box.axes])
+
+    def within(points: Array) -> Mask:
+        rows = np.tile(middle, (len(points), 1))
+        rows[:, :2] = points
+        return np.asarray(robot.solve(rows, on_failure="nan").within_limits)
+
+    mesh = outlined_mesh(box.axes[0], box.axes[1], inside, within)
+    units = [coordinate.unit for coordinate in robot.coordinates[:2]]
+    scale = color_scale(values)
+    draw_map(panel, mesh, mesh.values(values), scale, units)
+    bar = figure.colorbar(ScalarMappable(scale.norm(), COLORMAP), ax=panel, pad=0.03)
+    scale.label(bar)
+    bar.set_label(unit)
     round_ticks(panel)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 
 import numpy as np
@@ -19,8 +19,13 @@ _WORDS = {
 }
 
 
-def transmission_report(robot: str, model: SerialModel, pictures: Mapping[str, Figure]) -> str:
-    """Return the page as HTML: numbers for URDF and MJCF, how wrong each is over the box, and pictures."""
+def transmission_report(
+    robot: str, model: SerialModel, pictures: Mapping[str, Figure], functions: Sequence[str] = ()
+) -> str:
+    """Return the page as HTML: numbers for URDF and MJCF, how wrong each is over the box, and pictures.
+
+    It has links to the files of the mapping as functions, relative to the page.
+    """
     name = escape(robot)
     rows = [
         [joint, words, unit, *(f"{value:.4g}" for value in numbers), f"±{100.0 * error:.0f} %"]
@@ -52,6 +57,10 @@ def transmission_report(robot: str, model: SerialModel, pictures: Mapping[str, F
     if model.coupling:
         share = f"{100.0 * model.coupling:.0f} %"
         coupling = f" Rotors couple the joints by up to {share} of their own inertia, which is left out."
+    mapping = "<code>--to numpy,jax,torch,casadi,c</code> writes the mapping between joints and drives as functions."
+    if functions:
+        links = ", ".join(f'<a href="{escape(file)}">{escape(file)}</a>' for file in functions)
+        mapping = f"The mapping between joints and drives as functions, in rad and m: {links}."
     parts = [
         f"<h1>{name}: what to type into a serial model</h1>",
         f"<p>Over the box {box}. {reach}</p>",
@@ -64,6 +73,7 @@ def transmission_report(robot: str, model: SerialModel, pictures: Mapping[str, F
         "<h2>MJCF</h2>",
         f"<pre>{escape(_mjcf(model))}</pre>",
         "<p><code>pm3dof export serial</code> writes complete files, with the inertia of the loops' bodies too.</p>",
+        f"<p>{mapping}</p>",
         "<h2>Pictures</h2>",
         *(f"<p>{_WORDS[key]}</p>{html_image(figure, _WORDS[key])}" for key, figure in pictures.items()),
     ]

@@ -96,12 +96,17 @@ def test_unknown_limits_are_named() -> None:
 
 def test_the_command(answer: Callable[..., Any]) -> None:
     wrench = ["--wrench", "0", "0", "-500", "0", "0", "0", "--wrench", "0", "0", "500", "0", "10", "0"]
-    result = answer("capability", "10", "-15", "0.5", "--effort", "400", *wrench)
+    twist = ["--twist", "0", "0", "0.1", "0", "0", "0"]
+    result = answer("capability", "10", "-15", "0.5", "--effort", "400", *wrench, *twist)
     robot = pm.load("pm3dof")
     at = pm.tool_capability(robot, robot.solve([np.radians(10.0), np.radians(-15.0), 0.5]), effort=400.0)
     assert result["greatest_force_N"]["+"][:2] == [None, None]
     np.testing.assert_allclose(result["greatest_force_N"]["-"][2], at.greatest_wrench([0, 0, -1, 0, 0, 0]))
     np.testing.assert_allclose(result["effort_left"], [at.effort_left(w) for w in result["wrenches"]])
+    assert result["times_held"][0] == pytest.approx(result["greatest_force_N"]["-"][2] / 500.0)
+    assert result["times_reached"] == pytest.approx([result["greatest_speed_m_s"][2] / 0.1])
+    corners = np.array(result["speed_polytope_m_s"])
+    assert corners[:, 2].max() == pytest.approx(np.abs(at.tool_rates[2]) @ at.speed)  # all drives at full speed
 
 
 def test_the_wrench_feasible_workspace(answer: Callable[..., Any], tmp_path: Path) -> None:

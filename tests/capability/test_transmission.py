@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,26 @@ def test_gains_go_to_the_joints_and_back(box: Transmission) -> None:
     np.testing.assert_allclose(back, np.diag([50.0, 70.0]), atol=1e-9)
 
 
+def test_gains_of_the_joints_become_gains_of_the_drives(answer: Callable[..., Any], run: Callable[..., Any]) -> None:
+    """With G = [[a, b], [a, -b]], the drives' gains are 1/4 (P / a^2 +- R / b^2); their diagonal couples nothing."""
+    a, b, kp, kd = 55.0 / 35.0, 45.0 / 35.0, [120.0, 60.0], 2.0
+    options = ["--robot", str(_ANKLE), "--joints", "pitch,roll", "--over", "pitch", "-5", "5", "3"]
+    options += ["--over", "roll", "-5", "5", "3"]
+    result = answer("transmission", "0", "0", *options, "--joint-kp", "pitch=120,roll=60", "--joint-kd", "2")
+    same, other = ((kp[0] / a**2 + sign * kp[1] / b**2) / 4.0 for sign in (1.0, -1.0))
+    np.testing.assert_allclose(result["drive_stiffness_N_m_rad"], [[same, other], [other, same]], rtol=1e-12)
+    expected = 2.0 * same * np.diag([a**2, b**2])
+    np.testing.assert_allclose(result["joint_stiffness_N_m_rad_of_diagonal"], expected, atol=1e-12)
+    damping = kd * (1 / a**2 + 1 / b**2) / 4.0
+    np.testing.assert_allclose(np.diag(result["drive_damping_N_m_s_rad"]), damping, rtol=1e-12)
+    over = result["box"]["drive_damping_N_m_s_rad"]["left_motor"]
+    assert over["least"] <= damping <= over["greatest"]
+    for wrong in ("pitch=3", "-1", "pitch=1,roll=2,yaw=3"):
+        refused = run("transmission", *options, "--joint-kp", wrong)
+        assert refused.returncode == 2
+        assert "each of pitch, roll" in " ".join(refused.stderr.split())
+
+
 def _at(box: Transmission, index: tuple[int, int]) -> Transmission:
     return transmission(box.poses.robot, box.poses[index], effort=40.0)
 
@@ -104,12 +125,16 @@ def test_constants_of_a_serial_model(box: Transmission) -> None:
 
 
 def test_a_box_partly_out_of_reach(ankle: Robot) -> None:
-    poses = ankle.solve(ankle.grid(pitch=(-1.0, 1.0, 41), roll=(-0.3, 0.3, 7)), on_failure="nan")
-    found = serial_model(transmission(ankle, poses, on_failure="nan"))
+    grid = ankle.grid(pitch=(-1.0, 1.0, 41), roll=(-0.3, 0.3, 7))
+    poses = ankle.solve(grid, on_failure="nan")
+    found = serial_model(transmission(ankle, grid, on_failure="nan"))
     assert 0.0 < found.unreached == pytest.approx(1.0 - poses.within_limits.mean())
     assert found.speed is None
-    np.testing.assert_allclose([found.lower, found.upper], [[-1.0, -0.3], [1.0, 0.3]], atol=1e-9)
+    assert [found.lower.tolist(), found.upper.tolist()] == [[-1.0, -0.3], [1.0, 0.3]]
     box = transmission(ankle, poses, speed=3.0, on_failure="nan")
+    far = ankle.solve(ankle.grid(pitch=(-1.0, 2.0, 7), roll=0.0), on_failure="nan").reshape(7, 1)
+    with pytest.raises(InvalidValueError, match="no pose at a value of pitch"):
+        serial_model(transmission(ankle, far, on_failure="nan"))
     for values in (box.pure_torques, box.torque_box, box.unit_pure_torques, box.pure_speeds):
         assert (np.isnan(values).all(axis=-1) == ~poses.solved).all()
     assert (np.isnan(box.torques.ball_radius) == ~poses.solved).all()
@@ -243,6 +268,11 @@ def test_limits_of_the_serial_model_are_reached(answer: Callable[..., Any], tmp_
     grid = ankle.grid(pitch=(lower[0], upper[0], 9), roll=(lower[1], upper[1], 9))
     assert ankle.solve(grid, on_failure="nan").within_limits.all()
     answer("transmission", *options)
+    rows = np.genfromtxt(tmp_path / "transmission.csv", delimiter=",", names=True)
+    asked = np.radians(np.stack(np.meshgrid(np.linspace(-60, 60, 25), np.linspace(-15, 15, 7), indexing="ij"), -1))
+    found = np.column_stack([rows["pitch_rad"], rows["roll_rad"]])
+    np.testing.assert_allclose(found, asked.reshape(-1, 2), rtol=1e-11)
+    assert np.isnan(rows["left_drive_rad"]).any()  # out of reach, but the joints are known
     with xr.open_dataset(tmp_path / "transmission.nc") as table:
         at = table.isel(pitch=12, roll=4)
         pose = ankle.solve([float(at["pitch"]), float(at["roll"])])
@@ -284,8 +314,10 @@ def test_the_command(answer: Callable[..., Any], tmp_path: Path) -> None:
 def test_the_page_and_pictures_say_what_to_type(answer: Callable[..., Any], tmp_path: Path) -> None:
     options = ["--robot", str(_ANKLE), "--joints", "pitch,roll", "--over", "pitch", "-20", "20", "5"]
     options += ["--over", "roll", "-10", "10", "5", "--effort", "40", "--speed", "10", "--out", str(tmp_path)]
-    box = answer("transmission", *options)["box"]
+    box = answer("transmission", *options, "--to", "numpy")["box"]
     page = (tmp_path / "report.html").read_text()
+    (link,) = re.findall(r'href="(functions[^"]+)"', page)
+    assert "def commands(" in (tmp_path / link).read_text()
     for joint in ("pitch", "roll"):
         effort, velocity = (box[key][joint]["least_wrong"] for key in ("effort_limit_N_m", "greatest_pure_speed_rad_s"))
         assert f"effort=&quot;{effort:.4g}&quot; velocity=&quot;{velocity:.4g}&quot;" in page

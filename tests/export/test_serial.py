@@ -13,9 +13,10 @@ import pytest
 
 import pm3dof_pin as pm
 from pm3dof_pin.capability.mapping_fit import fit_mapping
+from pm3dof_pin.capability.serial_constants import serial_constants
 from pm3dof_pin.capability.transmission import joint_driven, transmission
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.export.serial import serial_tree
+from pm3dof_pin.export.serial import serial_tree, write_serial
 
 Answer = Callable[..., Any]
 
@@ -41,10 +42,7 @@ def test_armature_makes_up_the_closed_robots_inertia(answer: Answer, tmp_path: P
     for name in list(robot.model.names)[1:]:
         data.qpos[closed.joint(name).qposadr[0]] = robot.single_joint(name).coordinate(pose.q)
     mujoco.mj_forward(closed, data)
-    rows = data.efc_J.reshape(data.nefc, closed.nv)[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
-    null = np.linalg.svd(rows)[2][6:].T
-    motions = null @ np.linalg.inv(null[[closed.joint(name).dofadr[0] for name in ("pitch", "roll")]])
-    expected = np.diag(motions.T @ _full_mass(mujoco, closed, data) @ motions)
+    expected = np.diag(_projected_mass(mujoco, closed, data))
 
     serial = mujoco.MjModel.from_xml_path(str(tmp_path / "ankle_serial.xml"))
     assert [serial.joint(k).name for k in range(serial.njnt)] == ["pitch", "roll"]
@@ -55,30 +53,61 @@ def test_armature_makes_up_the_closed_robots_inertia(answer: Answer, tmp_path: P
     assert serial.body_subtreemass[0] == pytest.approx(closed.body_subtreemass[0], rel=1e-12)
 
 
-@pytest.mark.parametrize("joint", [0, 1])
-def test_simulated_motions_differ_by_what_is_said(answer: Answer, tmp_path: Path, joint: int) -> None:
-    """Under the same torque the angle differs by no more than the inertia does over the box, without gravity."""
+def _projected_mass(mujoco: Any, model: Any, data: Any) -> Any:
+    """The closed robot's inertia about pitch and roll."""
+    rows = data.efc_J.reshape(data.nefc, model.nv)[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+    null = np.linalg.svd(rows)[2][6:].T
+    motions = null @ np.linalg.inv(null[[model.joint(name).dofadr[0] for name in ("pitch", "roll")]])
+    return motions.T @ _full_mass(mujoco, model, data) @ motions
+
+
+@pytest.fixture(scope="module")
+def small_box(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Constants over 4 degrees to all sides; in MuJoCo the tree, the closed robot as exported, and as it was read."""
     mujoco = pytest.importorskip("mujoco")
-    box = ("--over", "pitch", "-4", "4", "9", "--over", "roll", "-4", "4", "9")
-    answer("export", "serial", *_ANKLE, *box, "--out", str(tmp_path))
-    inertia = answer("transmission", *_ANKLE, *box)["box"]["inertia_kg_m2"][("pitch", "roll")[joint]]
-    torque = np.array([0.0, 0.0])
-    torque[joint] = 1.0
-    angles = {}
-    for kind in ("closed", "serial"):
-        model = mujoco.MjModel.from_xml_path(str(tmp_path / f"ankle_{kind}.xml"))
+    robot = joint_driven(pm.load(_ANKLE[1]), ["pitch", "roll"])
+    box = transmission(robot, robot.grid(pitch=(-0.07, 0.07, 5), roll=(-0.07, 0.07, 5)))
+    tree = serial_tree(pm.load(_ANKLE[1]), robot)
+    constants, folder = serial_constants(box, pm.load(tree)), tmp_path_factory.mktemp("small_box")
+    write_serial(pm.load(_ANKLE[1]), tree, constants, folder)
+    files = [folder / "ankle_serial.xml", folder / "ankle_closed.xml", _ANKLE[1]]
+    models = [mujoco.MjModel.from_xml_path(str(file)) for file in files]
+    return mujoco, box, constants.accelerations, *models
+
+
+def test_accelerations_differ_by_what_is_said(small_box: Any) -> None:
+    """By MuJoCo's own masses over the box: of the serial model, and of the closed one within its constraints."""
+    mujoco, box, said, serial, _, closed = small_box  # massless bodies have 10 mg in the exported one
+    data, ratios = [mujoco.MjData(model) for model in (serial, closed)], []
+    names = list(box.poses.robot.model.names)[1:]
+    for values, q in zip(box.poses.coordinates.reshape(-1, 2), box.poses.q.reshape(-1, len(names)), strict=True):
+        data[0].qpos[:] = values
+        for name, value in zip(names, q, strict=True):
+            data[1].qpos[closed.joint(name).qposadr[0]] = value
+        for model, each in zip((serial, closed), data, strict=True):
+            mujoco.mj_forward(model, each)
+        masses = _full_mass(mujoco, serial, data[0]), _projected_mass(mujoco, closed, data[1])
+        ratios.append(np.diag(np.linalg.inv(masses[0])) / np.diag(np.linalg.inv(masses[1])))
+    np.testing.assert_allclose(said.least, np.min(ratios, axis=0), rtol=1e-9)
+    np.testing.assert_allclose(said.greatest, np.max(ratios, axis=0), rtol=1e-9)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_simulated_motions_differ_by_what_is_said(small_box: Any, joint: int) -> None:
+    """Under the same torque, without gravity: 30 ms, up to some 3 degrees."""
+    mujoco, _, said, *models, _ = small_box
+    angles = []
+    for model in models:
         model.opt.gravity[:] = 0.0
         data = mujoco.MjData(model)
-        for _ in range(60):  # 30 ms, up to some 3 degrees
-            for k, name in enumerate(("pitch", "roll")):
-                data.qfrc_applied[model.joint(name).dofadr[0]] = torque[k]
+        driven = model.joint(("pitch", "roll")[joint])
+        for _ in range(60):
+            data.qfrc_applied[driven.dofadr[0]] = 1.0
             mujoco.mj_step(model, data)
-        angles[kind] = data.qpos[model.joint(("pitch", "roll")[joint]).qposadr[0]]
-    assert np.radians(0.3) < angles["closed"] < np.radians(4.0)
-    typed = 2 * inertia["least"] * inertia["greatest"] / (inertia["least"] + inertia["greatest"])
-    ratios = sorted(typed / inertia[end] for end in ("greatest", "least"))
-    assert ratios[0] < angles["closed"] / angles["serial"] < ratios[1]
-    assert ratios[1] / ratios[0] < 1.4
+        angles.append(data.qpos[driven.qposadr[0]])
+    assert np.radians(0.3) < angles[1] < np.radians(4.0)
+    assert said.least[joint] < angles[0] / angles[1] < said.greatest[joint]
+    assert said.greatest[joint] / said.least[joint] < 1.4
 
 
 def test_files_are_read_back(answer: Answer, tmp_path: Path) -> None:
