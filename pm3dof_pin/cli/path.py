@@ -238,7 +238,7 @@ def _lines(summary: dict[str, Any]) -> list[str]:
     """Return the summary as text."""
     lines = [
         f"{summary['points']} points, {summary['points_within_limits']} within limits and on home's branch; "
-        f"{summary['time_s']:.2f} s, {summary['energy_J']:.4g} J",
+        f"{summary['time_s']:z.2f} s, {summary['energy_J']:.4g} J",
         "",
     ]
     rows = worst_rows(summary)

@@ -72,6 +72,8 @@ typedef struct {{
 typedef struct {{
   double q[NAME_POSITIONS];       /* joint positions [m, rad] */
   double commands[NAME_COMMANDS]; /* commands there */
+  double before[2][NAME_POSITIONS]; /* the positions of the two calls before, newest first */
+  int n_before;
   int is_started;
   int steps; /* Newton steps of the last call, without those of walks */
   int walks; /* walks of the last call: 0 if the pose before was near */
@@ -125,7 +127,34 @@ static int name_walk(int is_forward, const double *start, const double *targets,
                     : name_inverse_walk(start, targets, p, NAME_MAX_STEPS, q);
 }
 
-/* Follow from the pose before; or else walk from there, or from home. */
+/* Write where a parabola through the last three poses leads, if they are those of a smooth motion; else the last. */
+static void name_predict(const name_state *state, double *q)
+{
+  double moved = 0.0, bent = 0.0;
+  int k;
+  for (k = 0; k < NAME_POSITIONS; k++) {
+    moved += fabs(state->q[k] - state->before[0][k]);
+    bent += fabs(state->q[k] - 2.0 * state->before[0][k] + state->before[1][k]);
+  }
+  for (k = 0; k < NAME_POSITIONS; k++) {
+    q[k] = state->q[k];
+    if (NAME_IS_SMOOTH && state->n_before == 2 && bent < 0.1 * moved)
+      q[k] += 2.0 * state->q[k] - 3.0 * state->before[0][k] + state->before[1][k];
+  }
+}
+
+static void name_keep(name_state *state, const double *q)
+{
+  int k;
+  for (k = 0; k < NAME_POSITIONS; k++) {
+    state->before[1][k] = state->before[0][k];
+    state->before[0][k] = state->q[k];
+    state->q[k] = q[k];
+  }
+  state->n_before = state->walks ? 0 : state->n_before < 2 ? state->n_before + 1 : 2;
+}
+
+/* Follow from the poses before; or else walk from the last one, or from home. */
 static int name_close(int is_forward, int m, const double *targets, const name_model *model, name_state *state,
                       double *q)
 {
@@ -136,9 +165,8 @@ static int name_close(int is_forward, int m, const double *targets, const name_m
     if (!isfinite(targets[k]))
       return NAME_NO_NUMBER;
   if (state->is_started) {
-    for (k = 0; k < NAME_POSITIONS; k++)
-      q[k] = state->q[k];
 #if NAME_IS_PRECISE
+    name_predict(state, q);
     status = name_follow(is_forward, m, targets, p, q, &state->steps);
 #endif
     if (status != NAME_OK) {
@@ -163,7 +191,7 @@ DECLARE_start
   for (k = 0; k < NAME_COMMANDS; k++)
     state->commands[k] = y[k];
   state->is_started = 1;
-  state->steps = state->walks = 0;
+  state->steps = state->walks = state->n_before = 0;
 }
 
 DECLARE_inverse
@@ -178,8 +206,7 @@ INVERSE_TARGETS
     name_start(model, state);
   name_readings(q, model->numbers, y);
 PERIODIC
-  for (k = 0; k < NAME_POSITIONS; k++)
-    state->q[k] = q[k];
+  name_keep(state, q);
   for (k = 0; k < NAME_COMMANDS; k++)
     state->commands[k] = y[k];
 CORRECTED
@@ -201,8 +228,7 @@ FORWARD_TARGETS
     return status;
   name_readings(q, model->numbers, y);
 CONTRADICTION
-  for (k = 0; k < NAME_POSITIONS; k++)
-    state->q[k] = q[k];
+  name_keep(state, q);
   for (k = 0; k < NAME_COMMANDS; k++)
     state->commands[k] = given[k];
   state->is_started = 1;
@@ -398,12 +424,29 @@ def _comment(controller: Controller, real: Real) -> str:
                 f"drive, off by at most {model.correction.error:.1e} m or rad from what was learned, at "
                 "2000 random commands; clamped outside"
             )
+    lines += ["operations of a call, sums, products, sines and all others alike:", *_operations(controller)]
     if real == "float":
         lines.append(
             f"Single precision: errors up to {controller.single_precision_error:.1e} m or rad at the golden poses."
         )
     body = "\n".join(f" * {_named(harmless(line), controller.name)}".rstrip() for line in lines)
     return f"/*\n{body}\n */"
+
+
+def _operations(controller: Controller) -> list[str]:
+    """Return lines that bound the operations of a call: of one Newton step, of the most of these, and of two walks."""
+    count = {name: len(program.lines) for name, program in controller.programs.items()}
+    judged = count["accept"] + count["branch"] + count["readings"]
+    lines = []
+    for way, walk in (("inverse", controller.inverse), ("forward", controller.forward)):
+        part = {name: len(program.lines) for name, program in walk.parts.items()}
+        near = _STEPS * part["step"] + judged
+        walked = part["start"] + _MAX_STEPS * (part["step"] + part["control"]) + 2 * count["branch"]
+        lines.append(
+            f"  {way}: {part['step'] + judged} along a smooth motion, at most {near} near the pose before, and "
+            f"{near + 2 * walked} with walks"
+        )
+    return lines
 
 
 def _rows(coordinates: Iterable[Coordinate], ranges: Iterable[tuple[float, float]]) -> list[str]:
@@ -452,6 +495,7 @@ def _core(controller: Controller, real: Real, linkage: str) -> str:
         "CHECKS": len(programs["checks"].results),
         "STEPS": _STEPS,
         "IS_PRECISE": int(tolerance <= nearly),
+        "IS_SMOOTH": int(robot.model.nq == robot.model.nv),  # else positions are no numbers to extrapolate
         "FARTHEST": LEG,
         "NEARLY_CLOSED": nearly,
         "SELFTEST": selftest,

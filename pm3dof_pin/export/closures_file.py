@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import yaml
 
+from pm3dof_pin.elastic.springs import RIGID
 from pm3dof_pin.exceptions import DescriptionError
 
 _HEADER = """\
@@ -149,6 +150,8 @@ def _entry(element: ElementTree.Element, key: str) -> str:
         return element.attrib[key]
     if key not in element.attrib:
         raise _FormError(element, f"expected the attribute '{key}'")
+    if element.attrib[key] == RIGID:
+        return RIGID
     numbers = _numbers(element, key)
     return numbers[0] if len(numbers) == 1 else _list(numbers)
 

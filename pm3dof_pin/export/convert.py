@@ -43,6 +43,7 @@ _DRIVE_NUMBERS = (
     "proportional_gain",
     "derivative_gain",
     "control_range",
+    "control_gain",
     "force_range",
 )
 _EQUAL = 1e-9  # relative difference of numbers that count as kept

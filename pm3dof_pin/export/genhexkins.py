@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 
+from pm3dof_pin.export.template import one_line
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Matrix, Vector
@@ -23,7 +24,8 @@ def genhexkins_hal(robot: Robot) -> str | None:
         return None
     base, platform, offsets = found
     lines = [
-        f"# {robot.name} in LinuxCNC's own genhexkins: KINEMATICS = genhexkins, and these lines in its HAL file [mm].",
+        f"# {one_line(robot.name)} in LinuxCNC's own genhexkins: KINEMATICS = genhexkins, and these lines in its HAL",
+        "# file [mm].",
         "# Its joints are lengths of the struts: the commands here plus "
         + ", ".join(f"{1e3 * o:.9f}" for o in offsets),
         "# Its angles are those of R = Rz(C) Ry(B) Rx(A), not of R = Rx(A) Ry(B) Rz(C).",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 
 import numpy as np
 
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
 from pm3dof_pin.export.machine_axes import Machine
+from pm3dof_pin.export.template import fill, markdown
 from pm3dof_pin.files import csv_text
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -92,7 +92,7 @@ _SOURCE = """/*
 #define PLACES @UPPER@_COORDINATES
 
 #if N_AXIS < @AXES@
-#error "@ROBOT@ needs N_AXIS of at least @AXES@"
+#error "@NAME@ needs N_AXIS of at least @AXES@"
 #endif
 
 static const uint8_t axis_of[PLACES] = {@AXIS_OF@}; /* X, Y, Z, A, B, C are 0 to 5 */
@@ -352,7 +352,6 @@ def _source(machine: Machine) -> str:
     robot, name = machine.robot, machine.name
     at_home = robot.at([robot.home.q]).commands[0] * machine.joint_shown
     texts = {
-        "ROBOT": robot.name.replace("*/", ""),
         "NAME": name,
         "UPPER": name.upper(),
         "MODEL": "calibrated" if "calibrated" in machine.controller.models else "nominal",
@@ -364,17 +363,17 @@ def _source(machine: Machine) -> str:
         "CHORD": f"{1e6 * _CHORD:g} um or urad",
         "HOME": ", ".join(repr(value) for value in at_home.tolist()),
     }
-    return re.sub("@([A-Z_]+)@", lambda token: texts[token[1]], _SOURCE)
+    return fill(_SOURCE, texts, {"ROBOT": robot.name})
 
 
 def _readme(machine: Machine) -> str:
     robot, name = machine.robot, machine.name
     used = {letter: c.name for letter, c in zip(machine.axes.letters, robot.coordinates, strict=True)}
-    axes = ", ".join(f"{letter}: {of}" for letter, of in used.items())
+    axes = ", ".join(f"{letter}: {markdown(of)}" for letter, of in used.items())
     motors = ", ".join(
-        f"{k}: {c.name} [{'mm' if c.unit == 'm' else 'deg'}]" for k, c in enumerate(robot.command_coordinates)
+        f"{k}: {markdown(c.name)} [{'mm' if c.unit == 'm' else 'deg'}]" for k, c in enumerate(robot.command_coordinates)
     )
-    return f"""# {robot.name} in grblHAL
+    return f"""# {markdown(robot.name)} in grblHAL
 
 Written for the interface of grblHAL's core of August 2026, and compiled against its headers; not run on a controller.
 

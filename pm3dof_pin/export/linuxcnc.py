@@ -8,6 +8,7 @@ from pm3dof_pin.export.genhexkins import genhexkins_hal
 from pm3dof_pin.export.linuxcnc_check import check_script, run_script
 from pm3dof_pin.export.linuxcnc_module import linuxcnc_module
 from pm3dof_pin.export.machine_axes import AXIS_INDICES, DIGITS, Machine
+from pm3dof_pin.export.template import markdown, one_line
 from pm3dof_pin.files import csv_text
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
 from pm3dof_pin.typing import Matrix
@@ -42,8 +43,8 @@ def linuxcnc_files(controller: Controller) -> dict[str, str]:
 def _hal(machine: Machine, module: str) -> str:
     count = len(machine.robot.commands)
     lines = [
-        f"# HAL of {machine.robot.name}: joints are fed back to themselves. For a machine replace the joints' lines by",
-        "# those of its drives, stepgen or encoders; everything else stays.",
+        f"# HAL of {one_line(machine.robot.name)}: joints are fed back to themselves. For a machine replace",
+        "# the joints' lines by those of its drives, stepgen or encoders; everything else stays.",
         f"loadrt {module}",
         f"loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints={count}",
         "addf motion-command-handler servo-thread",
@@ -70,7 +71,7 @@ def _ini(machine: Machine, module: str) -> str:
     quickest = float(acceleration[linear].max()) if linear else float(acceleration.max())
     source = "assumed: the description has none" if limits.assumed else "as described"
     lines = [
-        f"# {robot.name}: millimetres, degrees. Written by pm3dof export linuxcnc, for LinuxCNC 2.9.",
+        f"# {one_line(robot.name)}: millimetres, degrees. Written by pm3dof export linuxcnc, for LinuxCNC 2.9.",
         "# Speeds and accelerations of the axes: at the same time in any directions they keep every drive within its",
         f"# own ({source}; a tenth of a second to full speed), at {limits.poses} random poses of the workspace.",
         "# LinuxCNC does not enforce joint limits of speed in coordinated moves: these do.",
@@ -108,7 +109,7 @@ def _ini(machine: Machine, module: str) -> str:
     for k, letter in enumerate(axes.letters):
         lines += [
             f"[AXIS_{letter}]",
-            f"# {robot.coordinates[k].name}",
+            f"# {one_line(robot.coordinates[k].name)}",
             f"MIN_LIMIT = {lower[k] * machine.shown[k]:.6f}",
             f"MAX_LIMIT = {upper[k] * machine.shown[k]:.6f}",
             f"MAX_VELOCITY = {speed[k]:.6f}",
@@ -120,7 +121,7 @@ def _ini(machine: Machine, module: str) -> str:
         shown = machine.joint_shown[k]
         lines += [
             f"[JOINT_{k}]",
-            f"# {command.name}",
+            f"# {one_line(command.name)}",
             f"TYPE = {'LINEAR' if command.unit == 'm' else 'ANGULAR'}",
             f"MIN_LIMIT = {lower[k] * shown - 1e-6:.6f}",
             f"MAX_LIMIT = {upper[k] * shown + 1e-6:.6f}",
@@ -155,11 +156,13 @@ def _program(machine: Machine, stops: Matrix) -> str:
 def _readme(machine: Machine, module: str) -> str:
     robot, name = machine.robot, machine.name
     axes = ", ".join(
-        f"{letter}: {coordinate.name} [{'mm' if coordinate.unit == 'm' else 'deg'}]"
+        f"{letter}: {markdown(coordinate.name)} [{'mm' if coordinate.unit == 'm' else 'deg'}]"
         for letter, coordinate in zip(machine.axes.letters, robot.coordinates, strict=True)
     )
-    joints = ", ".join(f"{k}: {c.name} [{'mm' if c.unit == 'm' else 'deg'}]" for k, c in enumerate(robot.commands))
-    return f"""# {robot.name} in LinuxCNC
+    joints = ", ".join(
+        f"{k}: {markdown(c.name)} [{'mm' if c.unit == 'm' else 'deg'}]" for k, c in enumerate(robot.commands)
+    )
+    return f"""# {markdown(robot.name)} in LinuxCNC
 
 For LinuxCNC 2.9 (Debian: `linuxcnc-uspace`, `linuxcnc-uspace-dev`). Millimetres and degrees.
 
@@ -176,6 +179,7 @@ Joints: {joints}.
 - Pins: `{module}.iterations`, Newton steps of the last call and 100 for each walk; `{module}.failures`;
   `{module}.tool-offset`, the tool's length along z [mm], for tilted tools; `{module}.calibrated`, which numbers it
   uses, if there are two sets.
+- The comment at the head of `{name}.h` bounds the operations of a call, which the servo period must leave time for.
 - LinuxCNC checks joint positions at the ends of moves only: check a program with `pm3dof path` before it runs.
 - `{module}.c` includes headers under the GPL and is under the GPL, version 2; `{name}.h` and `{name}_parameters.h` are
   not.

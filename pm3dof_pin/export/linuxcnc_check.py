@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pm3dof_pin.export.template import fill
+
 _TOLERANCE = 1e-9  # of the joints at the stops [mm, deg]
 
 _CHECK = '''#!/usr/bin/python3
@@ -126,9 +128,9 @@ unshare -r -m -i -n -p --fork --kill-child --mount-proc sh -e -c '
 
 def check_script() -> str:
     """Return the script that runs a program in LinuxCNC in place of a display."""
-    return _CHECK.replace("@TOLERANCE@", repr(_TOLERANCE))
+    return fill(_CHECK, {"TOLERANCE": repr(_TOLERANCE)})
 
 
 def run_script(name: str, module: str) -> str:
     """Return the shell script that builds a configuration's module and runs it headless."""
-    return _RUN.replace("@MODULE@", module).replace("@NAME@", name)
+    return fill(_RUN, {"MODULE": module, "NAME": name})

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.export.machine_axes import AXIS_INDICES, Machine
+from pm3dof_pin.export.template import fill
 
 _MEMBERS = {letter: f"tran.{letter.lower()}" if letter in "XYZ" else letter.lower() for letter in "XYZABCUVW"}
 
@@ -292,10 +292,9 @@ def linuxcnc_module(machine: Machine, module: str) -> str:
         "HAS_CALIBRATED": str(int(is_calibrated)),
         "UPPER": name.upper(),
         "MODULE": module,
-        "ROBOT": robot.name.replace("*/", ""),
         "NAME": name,
     }
-    return re.sub("@([A-Z_]+)@", lambda token: texts[token[1]], _MODULE)
+    return fill(_MODULE, texts, {"ROBOT": robot.name})
 
 
 def _unit(coordinate: Coordinate) -> str:

@@ -270,10 +270,14 @@ def _actuator(joint: Joint, drive: Drive) -> tuple[str, dict[str, str]]:
     if drive.gear != 1.0:
         attributes["gear"] = number_text(drive.gear)
     tag = drive.kind if drive.kind in _GAINS else "motor"
-    for key in _GAINS[tag]:
-        gain = drive.proportional_gain if key == "kp" else drive.derivative_gain
-        if gain is not None:
-            attributes[key] = number_text(gain)
+    gains = (("kp", drive.proportional_gain), ("kv", drive.derivative_gain))
+    if drive.control_gain is None:
+        attributes |= {key: number_text(gain) for key, gain in gains if gain is not None and key in _GAINS[tag]}
+    else:
+        tag, attributes["gainprm"] = "general", number_text(drive.control_gain)
+        bias = [-(gain or 0.0) for _, gain in gains]
+        if any(bias):
+            attributes |= {"biastype": "affine", "biasprm": numbers_text([0.0, *bias])}
     if drive.control_range is not None:
         attributes["ctrlrange"] = numbers_text(drive.control_range)
     elif joint.effort and tag == "motor":

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable
 
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
+from pm3dof_pin.export.ros import manifest
+from pm3dof_pin.export.template import c_comment, fill, markdown, xml
 
 
 def ros2_control_files(controller: Controller) -> dict[str, str]:
@@ -13,34 +15,42 @@ def ros2_control_files(controller: Controller) -> dict[str, str]:
     robot, name = controller.robot, controller.name
     package, has_tool = f"{name}_kinematics", robot.tool_frame is not None
     texts = {
-        "ROBOT": robot.name.replace("*/", ""),
         "PACKAGE": package,
         "NAME": name,
         "UPPER": name.upper(),
         "CLASS": "".join(part.capitalize() for part in name.split("_")),
         "MODEL": "calibrated" if "calibrated" in controller.models else "nominal",
-        "TOOL": (robot.tool_frame or "").replace("\\", "").replace('"', ""),
-        "COMMANDS": ", ".join(f"{c.name} [{c.unit}]" for c in robot.command_coordinates),
-        "COORDINATES": ", ".join(f"{c.name} [{c.unit}]" for c in robot.coordinates),
         "SOURCES": "src/transmission.cpp" + (" src/kinematics.cpp" if has_tool else ""),
     }
+    names = {
+        "ROBOT": robot.name,
+        "TOOL": robot.tool_frame or "",
+        "COMMANDS": ", ".join(f"{c.name} [{c.unit}]" for c in robot.command_coordinates),
+        "COORDINATES": ", ".join(f"{c.name} [{c.unit}]" for c in robot.coordinates),
+    }
 
-    def filled(text: str) -> str:
-        return re.sub("@([A-Z_]+)@", lambda token: texts[token[1]], text)
+    def filled(template: str, escaped: Callable[[str], str] = c_comment) -> str:
+        return fill(template, texts, names, escaped)
 
     core = c_files(controller)
     files = {f"{'include/' + package if path.endswith('.h') else 'src'}/{path}": text for path, text in core.items()}
     files[f"src/{name}.c"] = files[f"src/{name}.c"].replace(f'#include "{name}', f'#include "{package}/{name}')
-    files |= {"src/transmission.cpp": filled(_TRANSMISSION), "transmission_plugins.xml": filled(_TRANSMISSION_XML)}
+    files |= {"src/transmission.cpp": filled(_TRANSMISSION), "transmission_plugins.xml": filled(_TRANSMISSION_XML, xml)}
     if has_tool:
-        files |= {"src/kinematics.cpp": filled(_KINEMATICS), "kinematics_plugins.xml": filled(_KINEMATICS_XML)}
-    cmake, manifest, readme = _CMAKE, _MANIFEST, _README
+        files |= {"src/kinematics.cpp": filled(_KINEMATICS), "kinematics_plugins.xml": filled(_KINEMATICS_XML, xml)}
+    cmake, depends = _CMAKE, [*_DEPENDS]
     if not has_tool:
-        cmake, manifest = (
-            "\n".join(line for line in text.splitlines() if "kinematics_interface" not in line) + "\n"
-            for text in (cmake, manifest)
-        )
-    return {**files, "CMakeLists.txt": filled(cmake), "package.xml": filled(manifest), "README.md": filled(readme)}
+        cmake = "".join(line for line in cmake.splitlines(keepends=True) if "kinematics_interface" not in line)
+        depends.remove("kinematics_interface")
+    files["CMakeLists.txt"] = filled(cmake)
+    files["package.xml"] = manifest(
+        package,
+        f"Kinematics and transmission of {robot.name}",
+        "ros2_control",
+        [f"<depend>{name}</depend>" for name in depends],
+        license_name="BSD-2-Clause",
+    )
+    return {**files, "README.md": filled(_README, markdown)}
 
 
 _KINEMATICS = """\
@@ -72,7 +82,7 @@ public:
     double worst = 0.0;
     if (@NAME@_selftest(&@NAME@_@MODEL@, &worst) != 0)
     {
-      RCLCPP_ERROR(logger_, "the self-test of @ROBOT@ fails: off by %g", worst);
+      RCLCPP_ERROR(logger_, "the self-test of %s fails: off by %g", @"ROBOT"@, worst);
       return false;
     }
     @NAME@_start(&@NAME@_@MODEL@, &state_);
@@ -171,9 +181,9 @@ private:
 
   bool forward(const Eigen::VectorXd & joint_pos, const std::string & link_name)
   {
-    if (!is_ready_ || link_name != "@TOOL@" || joint_pos.size() != @UPPER@_COMMANDS)
+    if (!is_ready_ || link_name != @"TOOL"@ || joint_pos.size() != @UPPER@_COMMANDS)
     {
-      RCLCPP_ERROR(logger_, "expected link @TOOL@ and %d joints, after initialize", @UPPER@_COMMANDS);
+      RCLCPP_ERROR(logger_, "expected link %s and %d joints, after initialize", @"TOOL"@, @UPPER@_COMMANDS);
       return false;
     }
     return @NAME@_forward(&@NAME@_@MODEL@, &state_, joint_pos.data(), coordinates_) == @UPPER@_OK;
@@ -263,11 +273,11 @@ public:
     double worst = 0.0;
     if (joint_names_.size() != num_joints() || actuator_names_.size() != num_actuators())
     {
-      throw ti::Exception("@ROBOT@ has other numbers of joints and actuators");
+      throw ti::Exception(@"ROBOT"@ " has other numbers of joints and actuators");
     }
     if (@NAME@_selftest(&@NAME@_@MODEL@, &worst) != 0)
     {
-      throw ti::Exception("the self-test of @ROBOT@ fails");
+      throw ti::Exception("the self-test fails of " @"ROBOT"@);
     }
     @NAME@_start(&@NAME@_@MODEL@, &measured_);
     @NAME@_start(&@NAME@_@MODEL@, &commanded_);
@@ -285,7 +295,7 @@ public:
     }
     if (!has_[0])
     {
-      throw ti::Exception("@ROBOT@ needs the positions of all joints and actuators: they place its loops");
+      throw ti::Exception(@"ROBOT"@ " needs the positions of all joints and actuators: they place its loops");
     }
   }
 
@@ -455,25 +465,14 @@ install(DIRECTORY include/ DESTINATION include)
 ament_package()
 """
 
-_MANIFEST = """<?xml version="1.0"?>
-<package format="3">
-  <name>@PACKAGE@</name>
-  <version>0.0.0</version>
-  <description>Kinematics and transmission of @ROBOT@, written by pm3dof export ros2_control.</description>
-  <maintainer email="todo@todo.todo">todo</maintainer>
-  <license>BSD-2-Clause</license>
-  <buildtool_depend>ament_cmake</buildtool_depend>
-  <depend>eigen</depend>
-  <depend>hardware_interface</depend>
-  <depend>kinematics_interface</depend>
-  <depend>pluginlib</depend>
-  <depend>rclcpp</depend>
-  <depend>transmission_interface</depend>
-  <export>
-    <build_type>ament_cmake</build_type>
-  </export>
-</package>
-"""
+_DEPENDS = (
+    "eigen",
+    "hardware_interface",
+    "kinematics_interface",
+    "pluginlib",
+    "rclcpp",
+    "transmission_interface",
+)
 
 _README = """# @ROBOT@ in ros2_control
 
@@ -481,7 +480,7 @@ Plugins around the C kinematics of `pm3dof export c`; m, rad, N, N m. Compiled a
 and `ros2_control` of 2026; not built or run inside ROS 2.
 
 - `@PACKAGE@/@CLASS@Kinematics`, a `kinematics_interface`: joints are the drives (@COMMANDS@), the link is the tool
-  (`@TOOL@`), of robots that have one. Poses follow from the one before, as control loops need.
+  (@TOOL@), of robots that have one. Poses follow from the one before, as control loops need.
 - `@PACKAGE@/@CLASS@Transmission`, a transmission from actuators, the drives, to joints, the coordinates
   (@COORDINATES@): positions, and where they are connected speeds and efforts, by the Jacobian of the closed chain.
   Hardware interfaces load it by this name in the `<transmission>` of the URDF, joints and actuators in these orders.

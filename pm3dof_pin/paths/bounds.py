@@ -55,7 +55,7 @@ class MotionLimits:
                 raise InvalidValueError(name, value, "a positive number")
 
 
-class Bounds(NamedTuple):
+class SpeedBounds(NamedTuple):
     """Bounds at points of a path."""
 
     metric: Vector  #: how fast the path is travelled per share of a move, see :func:`path_metric`
@@ -117,7 +117,7 @@ class PathBounds:
             for given in (limits.axis_speed, limits.axis_acceleration)
         ]
 
-    def at(self, moves: Indices, shares: Array, sizes: Vector) -> Bounds:
+    def at(self, moves: Indices, shares: Array, sizes: Vector) -> SpeedBounds:
         """Return the bounds at points of a path."""
         follower, limits, path = self._follower, self._limits, self._follower.path
         motion = follower.motion(moves, shares, sizes)
@@ -152,7 +152,7 @@ class PathBounds:
         # where the drives do not even hold the tool at rest no feed is permitted, and the motion goes on as if they did
         bound = np.where(holds, np.minimum(bound, ceiling), bound)
         metric = np.where(np.isfinite(metric), metric, sizes[moves])
-        return Bounds(metric, turns, np.where(holds, ceiling, 0.0), bound, tangential)
+        return SpeedBounds(metric, turns, np.where(holds, ceiling, 0.0), bound, tangential)
 
     def _feeds(self, moves: Indices, turns: Mask) -> Vector:
         """Return the feed, shape=(n,) [m/s], or where the tool only turns [rad/s]."""
@@ -161,14 +161,14 @@ class PathBounds:
         given = np.where(turns, path.turning_feed[moves], path.feed[moves])
         if limits.feed is not None:
             given = np.where(path.rapid[moves], np.nan, limits.feed / unit)
-        elif np.isfinite(path.duration).any():
+        elif path.has_durations:
             given = np.where(np.isfinite(path.duration[moves]), np.inf, given)
         return np.where(np.isnan(given) | path.rapid[moves], limits.rapid / unit, given)
 
     def limit_to_durations(self, moves: Indices, length: Vector, bound: Vector) -> None:
         """Lower bounds of moves that have a duration to their mean speed, in place."""
         path = self._follower.path
-        if self._limits.feed is not None or not np.isfinite(path.duration).any():
+        if self._limits.feed is not None or not path.has_durations:
             return
         whole = np.bincount(moves, length, minlength=len(path))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -178,7 +178,6 @@ class PathBounds:
     def corners(self) -> Vector:
         """Return the greatest speed at the end of each move, shape=(number of moves,) [m/s]; the last is zero."""
         path, count = self._follower.path, len(self._follower.path)
-        blend = np.where(np.isnan(path.blend), self._tolerance, path.blend)
         found = np.zeros(count)
         for begin in range(0, count, _BLOCK):
             moves = np.arange(begin, min(begin + _BLOCK + 1, count))
@@ -188,7 +187,8 @@ class PathBounds:
                 change = (path.values(moves, last) - path.values(moves, first)) * self._follower.scale
                 directions.append(change / np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-300))
             cosine = np.einsum("ni,ni->n", directions[1][:-1], directions[0][1:])
-            found[moves[:-1]] = corner_speed(cosine, blend[moves[:-1]], self._limits.acceleration)
+            blend = np.nan_to_num(path.blend[moves[:-1]], nan=self._tolerance)
+            found[moves[:-1]] = corner_speed(cosine, blend, self._limits.acceleration)
         return found
 
 

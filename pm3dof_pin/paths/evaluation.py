@@ -132,7 +132,7 @@ class PathEvaluation:
             after = np.append(lasting[part.start + 1 : part.stop + 1], [] if part.stop < len(self) else [0.0])
             summary.add(columns, 0.5 * (lasting[part] + after))
             first = -part.start % every
-            thinned.append({name: values[first::every] for name, values in columns.items()})
+            thinned.append({name: values[first::every].copy() for name, values in columns.items()})  # no views
             yield columns
         self._summary = summary.as_data()
         self._thinned = {name: np.concatenate([some[name] for some in thinned]) for name in thinned[0]}
@@ -368,6 +368,11 @@ class PathEvaluation:
     def _eta(self) -> float:
         return abs(self.options.tool_length) or TIP_LENGTH
 
+    @cached_property
+    def _sources(self) -> ErrorSources:
+        assert self.options.errors is not None
+        return ErrorSources(self.options.errors)
+
     def _errors(self, poses: Poses, wrenches: Matrix) -> Columns:
         columns: Columns = {}
         if self.options.calibration is not None:
@@ -385,7 +390,7 @@ class PathEvaluation:
             columns |= self._numbered("calibrated_", answer.commands)
             columns |= {"expected_error_m": answer.predicted_error, "error_95_percent_m": answer.error_bound}
         elif self.options.errors is not None:
-            sources = ErrorSources(self.options.errors)
+            sources = self._sources
             own = Poses(sources.robot, poses.q, poses.residual, poses.broken_limits)
             for name, kind in (("expected_error_m", "tip_rms"), ("error_bound_m", "worst_tip")):
                 columns[name] = kinematic_sum(sources, own, kind, eta=self._eta, on_failure="nan").values  # type: ignore[arg-type]

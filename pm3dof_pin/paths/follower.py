@@ -119,8 +119,9 @@ class Follower:
         size = sizes[moves]
         step = np.where(size > 0.0, _STEP * self.unit / np.where(size > 0.0, size, 1.0), 1.0)
         if self.path.times is not None:  # the mean speed counts: at rest, steps by length would go far beyond a move
-            lasting = np.diff(self.path.times)
-            step = np.minimum(_STEP * self.unit * lasting.sum() / (sizes.sum() * lasting[moves]), _TIME_STEP)
+            whole = self.path.times[-1] - self.path.times[0]
+            mean = _STEP * self.unit * whole / (sizes.sum() * self.path.lasting[moves])
+            step = np.minimum(mean, _TIME_STEP)
         targets = self.path.values(moves, shares)
         poses = self.solve(targets)
         rows = np.flatnonzero(poses.solved)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -78,7 +78,7 @@ class Move:
 class GCodeProgram(NamedTuple):
     """The moves of a program, and the letters of axes that it uses."""
 
-    moves: list[Move]
+    moves: Iterator[Move]  #: interpreted as they are taken, so that long programs need no memory
     letters: frozenset[str]
 
 
@@ -112,21 +112,29 @@ def read_program(
         has_tool: whether a tool length is known, which G43 requires.
 
     Raises:
-        GCodeError: a line is not understood.
+        GCodeError: a word is not one; when moves are taken, a line is not understood.
     """
-    letters = frozenset(letter for _, words in _words(Path(path), text) for letter, _ in words if letter in _AXES)
+    file = Path(path)
+    letters = frozenset(letter for _, words in _words(file, text) for letter, _ in words if letter in _AXES)
     known = {54: np.eye(4), **systems, MACHINE: np.eye(4)}
-    interpreter = _Interpreter(Path(path), known, home, letters, has_tool=has_tool)
-    for line, words in _words(Path(path), text):
-        if not interpreter.execute(line, words):
-            break
-    return GCodeProgram(interpreter.moves, letters)
+    interpreter = _Interpreter(file, known, home, letters, has_tool=has_tool)
+    return GCodeProgram(interpreter.run(_words(file, text)), letters)
+
+
+def _lines(text: str) -> Iterator[str]:
+    """Yield the lines, one at a time."""
+    first = 0
+    while first < len(text):
+        end = text.find("\n", first)
+        end = len(text) if end < 0 else end
+        yield text[first:end]
+        first = end + 1
 
 
 def _words(path: Path, text: str) -> Iterator[tuple[int, list[tuple[str, float]]]]:
     """Yield the number and the words of each line that has some; a program that begins with % ends at the next."""
     percents, is_begun = 0, False
-    for number, raw in enumerate(text.splitlines(), start=1):
+    for number, raw in enumerate(_lines(text), start=1):
         code = _COMMENT.sub("", raw).partition(";")[0].upper()
         code = "".join(code.split())
         if not code:
@@ -153,7 +161,7 @@ class _Interpreter:
     """The state of a program between its lines."""
 
     def __init__(self, path: Path, systems: Systems, home: Vector, letters: frozenset[str], *, has_tool: bool) -> None:
-        self.moves: list[Move] = []
+        self._moves: list[Move] = []
         self._path, self._systems, self._home, self._has_tool = path, systems, home, has_tool
         self._turns = bool(letters & {*_AXES[_LINEAR:]})
         self._line = 0
@@ -166,7 +174,16 @@ class _Interpreter:
         self._long = False
         self._position = self._seen_from(self._system, np.array(home, dtype=np.float64))
 
-    def execute(self, line: int, words: list[tuple[str, float]]) -> bool:
+    def run(self, lines: Iterable[tuple[int, list[tuple[str, float]]]]) -> Iterator[Move]:
+        """Yield the moves of lines, up to the end of the program."""
+        for line, words in lines:
+            goes_on = self._execute(line, words)
+            yield from self._moves
+            self._moves.clear()
+            if not goes_on:
+                return
+
+    def _execute(self, line: int, words: list[tuple[str, float]]) -> bool:
         """Execute a line; return whether the program goes on."""
         self._line = line
         if len(words) == 1 and words[0][0] == "N":
@@ -277,7 +294,7 @@ class _Interpreter:
         if axes or given.get("P", -1.0) < 0.0:
             raise self._error("expected G4 P with a time in seconds, and no axes")
         place = tuple(self._position.tolist())
-        self.moves.append(Move(self._line, place, place, self._system, duration=given["P"]))
+        self._moves.append(Move(self._line, place, place, self._system, duration=given["P"]))
 
     def _go_home(self, given: dict[str, float], axes: list[str]) -> None:
         if axes:
@@ -393,7 +410,7 @@ class _Interpreter:
         elif feed is not None:
             speeds = {"feed": feed * self._feed_unit / 60.0, "turning_feed": math.radians(feed) / 60.0}
         ends = tuple(start.tolist()), tuple(target.tolist())
-        self.moves.append(Move(self._line, *ends, self._system, arc=arc, blend=self._blend, **speeds))
+        self._moves.append(Move(self._line, *ends, self._system, arc=arc, blend=self._blend, **speeds))
 
     def _error(self, problem: str) -> GCodeError:
         return GCodeError(self._path, self._line, problem)

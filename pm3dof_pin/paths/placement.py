@@ -71,10 +71,10 @@ class PlacementSearch:
         shares = np.linspace(0.0, 1.0, max(-(-_POINTS // count), 1) + 1)[1:]
         moves, along = np.repeat(np.arange(count), len(shares)), np.tile(shares, count)
         kept = own[moves] & (after_own[moves] | (along == 1.0))
-        moves, along = moves[kept], along[kept]
-        every = max(-(-len(moves) // _POINTS), 1)
-        self.targets = path.values(moves, along)[::every]
-        cutting = ~path.rapid[moves][::every]
+        every = max(-(-int(kept.sum()) // _POINTS), 1)
+        moves, along = moves[kept][::every], along[kept][::every]
+        self.targets = path.values(moves, along)
+        cutting = ~path.rapid[moves]
         self.cutting = cutting if cutting.any() else ~cutting
         self.centre = 0.5 * (self.targets[:, :3].min(axis=0) + self.targets[:, :3].max(axis=0))
         self.force = None if self._options.force is None else np.asarray(self._options.force, dtype=float)

@@ -20,7 +20,7 @@ from pm3dof_pin.typing import Indices, Mask, Matrix, Vector
 
 Result = TypeVar("Result")
 
-BLOCK = 16384
+BLOCK = 4096
 """Points at a time, to bound the memory."""
 
 _MAX_PARTS = 100_000  # of one move
@@ -124,12 +124,13 @@ def choose_points(follower: Follower, tolerance: float, spacing: float | None = 
         parts[moves] = np.where((needed > 1) | (legal[0] & ~legal[1] & legal[2]), needed + needed % 2, 1)
     parts = np.where(parts == 0, 2, parts)
     ends = np.cumsum(parts)
+    before = ends - parts
     points = PathPoints(large_array(int(ends[-1]) + 1, np.int32), large_array(int(ends[-1]) + 1), sizes)
     for part in blocks:
         index = np.repeat(np.arange(part.start, part.stop, dtype=np.int32), parts[part])
-        here = slice(int(ends[part.start] - parts[part.start]) + 1, int(ends[part.stop - 1]) + 1)
+        here = slice(int(before[part.start]) + 1, int(ends[part.stop - 1]) + 1)
         points.moves[here] = index
-        points.shares[here] = (np.arange(here.start, here.stop) - (ends - parts)[index]) / parts[index]
+        points.shares[here] = (np.arange(here.start, here.stop) - before[index]) / parts[index]
     for array in points.moves, points.shares, points.sizes:
         array.setflags(write=False)
     return points

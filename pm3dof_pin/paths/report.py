@@ -173,8 +173,7 @@ def _against_workpiece(columns: Columns) -> np.ndarray[tuple[int, ...], np.dtype
 
 def _rapid(found: PathEvaluation, columns: Columns) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Return which points are in rapids; lines of a program may have several moves, which are alike."""
-    rapid = dict(zip(found.path.lines.tolist(), found.path.rapid.tolist(), strict=True))
-    return np.array([rapid[int(line)] for line in columns["line"]])
+    return np.asarray(found.path.rapid[np.searchsorted(found.path.lines, columns["line"])])
 
 
 def _unit(key: str) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,23 @@ from pm3dof_pin.typing import Array, Indices, Mask, Matrix, Vector
 
 TIME, FEED, FEED_PER_MINUTE = "time_s", "feed_m_s", "feed_mm_min"
 """Columns of a table: the time at each row, or the feed of the move that ends there."""
+
+_MOVES = np.dtype(
+    [
+        ("lines", np.int64),
+        ("start", np.float64, 6),
+        ("end", np.float64, 6),
+        *((name, np.float64) for name in ("feed", "turning_feed", "duration", "blend")),
+        ("arc_axes", np.int64, 2),
+        ("arcs", np.float64, 3),
+        ("system", np.int64),
+        ("rapid", np.bool_),
+    ],
+    align=True,
+)
+"""A move of a program, as :class:`ToolPath` has it."""
+
+_AT_ONCE = 4096  # moves
 
 _UNITS: Mapping[str, Mapping[str, float]] = {"m": {"m": 1.0, "mm": 1e-3}, "rad": {"rad": 1.0, "deg": np.pi / 180.0}}
 
@@ -81,6 +100,17 @@ class ToolPath:
     def turns(self) -> bool:
         """Whether the path turns the tool: A, B or C are among its components."""
         return self.components is not None and bool({*self.components} & {*TOOL_COMPONENTS[3:]})
+
+    @cached_property
+    def has_durations(self) -> bool:
+        """Whether some moves have a duration."""
+        return bool(np.isfinite(self.duration).any())
+
+    @cached_property
+    def lasting(self) -> Vector:
+        """How long moves take by the times of the path, shape=(n,) [s]."""
+        assert self.times is not None
+        return np.diff(self.times)
 
     def values(self, moves: Indices, shares: Array) -> Matrix:
         """Return the numbers at shares of moves, shape=(m, k); X, Y, Z, A, B, C are those in the base."""
@@ -153,35 +183,40 @@ def read_path(
         for number, placement in (workpiece or {}).items()
     }
     home = tool_components(robot.home.tool_placement.homogeneous)
-    program = read_program(file, read_text(file), systems, home, has_tool=has_tool)
-    if not program.moves:
+    path_of_program = from_moves(*read_program(file, read_text(file), systems, home, has_tool=has_tool), systems)
+    if not len(path_of_program):
         raise InvalidValueError("program", str(file), "at least one move")
-    return from_moves(program.moves, program.letters, systems)
+    return path_of_program
 
 
-def from_moves(moves: Sequence[Move], letters: frozenset[str], systems: Systems) -> ToolPath:
-    """Return the path of the moves of a program that uses these letters."""
-
-    def column(name: str) -> Vector:
-        return np.array([getattr(move, name) for move in moves], dtype=float)
-
-    arcs = [move.arc for move in moves]
-    is_dwell = np.array([move.start == move.end and move.arc is None for move in moves])
+def from_moves(moves: Iterable[Move], letters: frozenset[str], systems: Systems) -> ToolPath:
+    """Return the path of the moves of a program that uses these letters; many are kept in a temporary file."""
+    rest = iter(moves)
+    with tempfile.TemporaryFile() as file:
+        while some := list(islice(rest, _AT_ONCE)):
+            np.array([_row(move) for move in some], _MOVES).tofile(file)
+        table = np.asarray(np.memmap(file, _MOVES, mode="r")) if file.tell() else np.zeros(0, _MOVES)
     return ToolPath(
-        lines=np.array([move.line for move in moves]),
-        start=frozen(np.array([move.start for move in moves])),
-        end=frozen(np.array([move.end for move in moves])),
+        **{name: frozen(table[name]) for name in _MOVES.names or ()},
         components=tuple(c for c, letter in zip(TOOL_COMPONENTS, "XYZABC", strict=True) if letter in letters),
-        rapid=np.array([move.feed is None and move.duration is None for move in moves]) & ~is_dwell,
-        feed=column("feed"),
-        turning_feed=column("turning_feed"),
-        duration=column("duration"),
-        blend=column("blend"),
-        arc_axes=np.array([(-1, -1) if arc is None else arc.axes for arc in arcs]),
-        arcs=np.array([(0.0, 0.0, 0.0) if arc is None else (*arc.centre, arc.sweep) for arc in arcs]),
-        system=np.array([move.system for move in moves]),
         placements=systems,
         names=tuple("XYZABC"),
+    )
+
+
+def _row(move: Move) -> tuple[Any, ...]:
+    """Return a move as a row of :data:`_MOVES`."""
+    arc, is_dwell = move.arc, move.start == move.end and move.arc is None
+    numbers = (move.feed, move.turning_feed, move.duration, move.blend)
+    return (
+        move.line,
+        move.start,
+        move.end,
+        *(np.nan if number is None else number for number in numbers),
+        (-1, -1) if arc is None else arc.axes,
+        (0.0, 0.0, 0.0) if arc is None else (*arc.centre, arc.sweep),
+        move.system,
+        move.feed is None and move.duration is None and not is_dwell,
     )
 
 

@@ -46,18 +46,24 @@ def _write_csv(found: PathEvaluation, path: Path, tell: Progress) -> None:
             if not done:
                 headings = [name.removesuffix("rad") + "deg" if name in turned else name for name in columns]
                 file.write(csv_text([headings]))
-                form = ",".join("%s" if n == _WORDS else "%.0f" if n in whole else "%.12g" for n in columns) + "\n"
             words = {
                 flags: "+".join(name for bit, name in enumerate(names) if int(flags) & (1 << bit))
                 for flags in np.unique(columns[_WORDS]).tolist()
             }
-            cells: list[list[Any]] = [
-                [words[flags] for flags in values.tolist()]
-                if name == _WORDS
-                else (np.degrees(values) if name in turned else values).tolist()
-                for name, values in columns.items()
-            ]
-            file.writelines(form % row for row in zip(*cells, strict=True))
+            cells: list[list[Any]] = []
+            forms: list[str] = []
+            for name, values in columns.items():
+                form = "%s" if name == _WORDS else "%.0f" if name in whole else "%.12g"
+                shown = (np.degrees(values) if name in turned else values).tolist()
+                if name == _WORDS:
+                    shown = [words[flags] for flags in shown]
+                if cells and (values == values[0]).all():  # as many columns are: formatting takes the time
+                    forms.append((form % shown[0]).replace("%", "%%"))
+                else:
+                    forms.append(form)
+                    cells.append(shown)
+            line = ",".join(forms) + "\n"
+            file.writelines(line % row for row in zip(*cells, strict=True))
             done += len(columns["line"])
             tell(done, len(found))
 

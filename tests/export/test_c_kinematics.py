@@ -56,6 +56,7 @@ class Library:
         sizes = len(self.robot.commands), len(self.robot.coordinates)
         self.k, self.m = sizes
         fields = [("q", self.number * described.inverse.nq), ("commands", self.number * self.k)]
+        fields += [("before", self.number * described.inverse.nq * 2), ("n_before", ctypes.c_int)]
         counters = [("is_started", ctypes.c_int), ("steps", ctypes.c_int), ("walks", ctypes.c_int)]
         self.state = type("State", (ctypes.Structure,), {"_fields_": [*fields, *counters]})()
 
@@ -172,6 +173,25 @@ def test_first_call_of_a_state_that_is_all_zeros_starts_from_home(library: Calla
     assert compiled.forward(np.full(6, 1e-5))[0] == OK
     assert compiled.state.walks == 0
     assert compiled.state.steps <= 2
+
+
+@pytest.mark.parametrize("way", ["inverse", "forward"])
+def test_smooth_motion_takes_one_step_and_its_end_costs_no_digits(way: str, library: Callable[..., Library]) -> None:
+    """Where a parabola through three poses leads, one Newton step is enough; a stop and a turn back are met as well."""
+    compiled, robot = library("hexapod"), pm.load("hexapod")
+    angle = np.append(np.arange(0.0, 0.1, 0.01), [0.09, 0.03])  # goes round, stops, turns back
+    places = robot.home_coordinates + 0.01 * np.outer(1.0 - np.cos(angle), np.eye(6)[0])
+    places += 0.01 * np.outer(np.sin(angle), np.eye(6)[1])
+    poses = robot.solve(places)
+    given, wanted = (places, poses.commands) if way == "inverse" else (poses.commands, places)
+    steps = []
+    for each, answer in zip(given, wanted, strict=True):
+        status, found = getattr(compiled, way)(each)
+        assert status == OK
+        np.testing.assert_allclose(found, answer, rtol=0.0, atol=1e-12)
+        steps.append(compiled.state.steps)
+    assert set(steps[4:10]) == {1}
+    assert max(steps[10:]) <= 4
 
 
 def test_contradicting_commands_of_redundant_drives(library: Callable[..., Library]) -> None:

@@ -168,13 +168,26 @@ def test_compensated_commands_bring_the_loaded_tool_back(large: bool, tmp_path: 
     assert errors[1] < (1e-5 if large else 2e-2) * errors[0]
 
 
-def test_move_whose_middle_breaks_a_limit_is_found() -> None:
-    # the poses within the limits of the tripod are not convex: found by a random search
-    robot = pm.load("pm3dof")
-    ends = np.array([[0.5814, 0.1179, 0.5327], [0.2705, -0.3911, 0.5563]])
+# poses within the limits are not convex: ends found by a random search
+@pytest.mark.parametrize(
+    ("name", "start", "end"),
+    [
+        ("pm3dof", [0.5814, 0.1179, 0.5327], [0.2705, -0.3911, 0.5563]),
+        (
+            "hexapod",
+            [0.00799, -0.00857, 0.13423, -0.00316, 0.03636, -0.03319],
+            [0.00321, 0.00096, 0.12273, -0.0702, 0.00841, 0.02281],
+        ),
+        ("three_rps", [0.68331, -0.45696, 0.22537], [0.68104, 0.06136, -0.59068]),
+        ("linear_delta", [0.11166, -0.01095, 0.31668], [0.07491, -0.11484, 0.32171]),
+    ],
+)
+def test_move_whose_middle_breaks_a_limit_is_found(name: str, start: list[float], end: list[float]) -> None:
+    robot, ends = pm.load(name), np.array([start, end])
     assert robot.solve(ends).within_limits.all()
-    assert not robot.solve(ends.mean(axis=0)).within_limits
-    path = ToolPath(lines=np.array([2]), start=ends[:1], end=ends[1:], names=("theta_x", "theta_y", "z_e"))
+    assert not robot.solve(ends.mean(axis=0), on_failure="nan").within_limits
+    names = tuple(coordinate.name for coordinate in robot.coordinates)
+    path = ToolPath(lines=np.array([2]), start=ends[:1], end=ends[1:], names=names)
     for options in (PathOptions(), PathOptions(tolerance=1.0, spacing=10.0)):
         found = evaluate_path(robot, path, options)
         within = found.columns["within_limits"] == 1.0

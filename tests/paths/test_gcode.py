@@ -8,12 +8,13 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from pm3dof_pin.exceptions import GCodeError
-from pm3dof_pin.paths.gcode import GCodeProgram, read_program
+from pm3dof_pin.paths.gcode import Move, read_program
 from pm3dof_pin.paths.tool_path import from_moves
 
 RS274 = shutil.which("rs274")
@@ -49,9 +50,14 @@ M2
 """
 
 
-def interpreted(text: str, *, has_tool: bool = False) -> GCodeProgram:
-    systems = {55: np.eye(4)}
-    return read_program("part.ngc", text, systems, np.zeros(6), has_tool=has_tool)
+class Interpreted(NamedTuple):
+    moves: list[Move]
+    letters: frozenset[str]
+
+
+def interpreted(text: str, *, has_tool: bool = False) -> Interpreted:
+    program = read_program("part.ngc", text, {55: np.eye(4)}, np.zeros(6), has_tool=has_tool)
+    return Interpreted(list(program.moves), program.letters)
 
 
 def by_linuxcnc(text: str, folder: Path) -> list[tuple[str, list[float]]]:

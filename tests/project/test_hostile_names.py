@@ -11,18 +11,23 @@ import subprocess
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any, get_args
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
+import pinocchio as pin
 import pytest
 import yaml
 from matplotlib.figure import Figure
 
+import pm3dof_pin as pm
 from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.report import report_as_html
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.export.controllers import ControllerName, export_controller
 from pm3dof_pin.export.formats import FORMATS, export_robot
+from pm3dof_pin.export.functions import export_functions
 from pm3dof_pin.figures.labels import entry_words, parameter_words, part_words, plain, symbol
 from pm3dof_pin.figures.style import house_style
 from pm3dof_pin.kinematics.poses import Poses
@@ -79,6 +84,46 @@ def test_exported_files_are_sound(name: str, tmp_path: Path) -> None:
                 yaml.safe_load(content)
             elif file.suffix == ".py":
                 compile(content, str(file), "exec")
+
+
+@pytest.fixture(scope="module")
+def renamed() -> pm.Robot:
+    """An ankle whose robot and tool frame have hostile names."""
+    robot = pm.load("ankle_rus")
+    tool = robot.model.frames[robot.frame_id(str(robot.tool_frame))]
+    model = robot.model.copy()
+    model.name = ALL
+    model.addFrame(pin.Frame(ALL, tool.parentJoint, tool.placement, pin.FrameType.OP_FRAME))
+    return robot.replace(model=model, tool_frame=ALL)
+
+
+@pytest.mark.parametrize("target", [*get_args(ControllerName), "numpy"])
+def test_exported_kinematics_are_sound(target: Any, renamed: pm.Robot, tmp_path: Path) -> None:
+    """Markup parses, the core compiles, and outside of comments and string literals nothing of a name is left."""
+    if target == "numpy":
+        export_functions(renamed, ["commands"], target, tmp_path)
+    else:
+        export_controller(renamed, target, tmp_path)
+    for file in (path for path in tmp_path.rglob("*") if path.is_file()):
+        text = file.read_text(encoding="utf-8")
+        match file.suffix:
+            case ".xml":
+                ElementTree.fromstring(text)
+            case ".py":
+                compile(text, str(file), "exec")
+            case ".md":
+                assert not re.search(r"(?<!\\)<(?!transmission>)|^closed_loop", text, re.MULTILINE)
+            case ".hal" | ".ini":
+                assert not re.search(r"^(?!#).*(alert\(|closed_loop: )", text, re.MULTILINE)
+            case ".c" | ".h" | ".cpp":
+                code = re.sub(r'//[^\n]*|/\*.*?\*/|"(?:\\.|[^"\\\n])*"', "", text, flags=re.DOTALL)
+                assert not re.search(r"alert\(|int x;|closed_loop:|\$", code)
+                assert "\\\n" not in text.replace(" \\\n", "")
+    if target == "c" and (compiler := shutil.which("gcc")):
+        (source,) = tmp_path.glob("*.c")
+        command = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", source]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+        assert done.returncode == 0, done.stderr
 
 
 def test_the_page_of_the_viewer() -> None:
