@@ -15,6 +15,7 @@ from pm3dof_pin.typing import Vector
 
 _MAX_MAGNITUDE = 1e100  # the product of any three is a number
 _LARGE = 2**26  # bytes
+_LISTED = 18  # numbers of a vector in a message
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 
 
@@ -76,8 +77,9 @@ def require_kind(name: str, value: object, kind: type, origin: str) -> None:
 
 
 def listed(numbers: Vector) -> str:
-    """Format a vector in one line for a message: (0.1 0 -2.5)."""
-    return f"({' '.join(f'{number:.4g}' for number in numbers)})"
+    """Format a vector in one line for a message: (0.1 0 -2.5); of a long one the first numbers."""
+    shown = [f"{number:.4g}" for number in numbers[:_LISTED]]
+    return f"({' '.join(shown)}{f' and {len(numbers) - _LISTED} more' if len(numbers) > _LISTED else ''})"
 
 
 def frozen(array: AnyArray) -> AnyArray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import logging
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,7 @@ class CsvTable:
                     problem = f"{len(cells)} cells, expected {len(self.header)} {what}"
                     raise MeasurementError(path, problem, [reader.line_num - added])
                 self.lines.append(reader.line_num - added)
-                rows.append([self._number(cells[k], name) for k, name in read])
+                rows.append(self._numbers(cells, read))
         except csv.Error as error:
             raise MeasurementError(path, f"expected CSV ({error})", [reader.line_num - added]) from error
         table, kept = np.array(rows, dtype=float).reshape(len(rows), len(read)), [k for k, _ in read]
@@ -130,7 +131,7 @@ class CsvTable:
 
     def matrix(self, names: Sequence[str], missing: float | None = None) -> Array:
         """Return columns side by side, shape=(n, len(names)); all `missing` if the first one is not there."""
-        if missing is not None and names[0] not in self:
+        if missing is not None and names and names[0] not in self:
             return np.full((len(self), len(names)), missing)
         return np.column_stack([np.empty((len(self), 0)), *(self.columns[name] for name in names)])
 
@@ -203,6 +204,12 @@ class CsvTable:
         self.require(needed, line)
         if twice := sorted({name for name in header if header.count(name) > 1}):
             raise MeasurementError(self.path, f"column {', '.join(twice)} appears more than once", [line])
+
+    def _numbers(self, cells: Sequence[str], read: Sequence[tuple[int, str]]) -> list[float]:
+        if len(read) == len(cells) and not self._decimal_commas and "_" not in "".join(cells):
+            with suppress(ValueError):  # what all rows of most files are
+                return list(map(float, cells))
+        return [self._number(cells[k], name) for k, name in read]
 
     def _number(self, cell: str, column: str) -> float:
         word = cell.strip()

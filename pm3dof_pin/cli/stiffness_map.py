@@ -21,12 +21,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from pm3dof_pin.chapter.tripod import Tripod
+    from pm3dof_pin.figures.outlined_mesh import OutlinedMesh
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.datasets import Map
-    from pm3dof_pin.typing import Array, Engine, Mask
+    from pm3dof_pin.typing import Array, Engine
 
 _MIN_TO_DRAW = 3
+_MOST_PICTURES = 10  # beyond, of principal stiffnesses only the least are drawn
 PICTURES = {
     "figure_8_3a_theta_x.png": "stiffness_theta_x",
     "figure_8_3b_theta_y.png": "stiffness_theta_y",
@@ -66,7 +68,7 @@ def stiffness_map(
     Without --robot, the maps are the chapter's (Figs. 8.3, 8.4), with Table 8.3 if the section is the same; in closed
     form, or by --engine pinocchio. With --robot (pm3dof too), they show felt and principal stiffness, condition number
     and first natural frequency over two coordinates; if the tool is rigid in some direction, the stiffness of its free
-    motions. Pictures of an earlier run are replaced.
+    motions. Of principal stiffnesses only the least have pictures. Pictures of an earlier run are replaced.
     """
     if which.robot is None and not over and not values and which.tool_frame is None:
         _map_of_chapter(which, out, height, tilt, points or _DEFAULT_POINTS, pictures, formats, as_json, engine)
@@ -167,22 +169,17 @@ def _draw(
     progress: Any,
     formats: list[PictureFormat] | None,
 ) -> list[Path]:
-    """Draw a picture of every entry of the map that has finite values."""
+    """Draw a picture of every entry of the map that has finite values, or of the ten that say most."""
     import numpy as np
 
     from pm3dof_pin.figures.section_map import section_map
     from pm3dof_pin.maps.limit_space import limits_over
 
     broken = limits_over(robot, grid.dims, grid.fixed)
-    known: dict[bytes, Mask] = {}  # most pictures ask for the same points
-
-    def within(points: Array) -> Mask:
-        key = points.tobytes()
-        if key not in known:
-            known[key] = broken(points) == 0
-        return known[key]
-
+    meshes: dict[bytes, OutlinedMesh] = {}
     entries = _entries(dataset)
+    if len(entries) > _MOST_PICTURES:
+        entries = [entry for entry in entries if entry[1] not in ("middle", "greatest")]
     files = []
     for done, (name, label, index) in enumerate(entries, start=1):
         if np.isfinite(dataset[name].values[index]).sum() >= _MIN_TO_DRAW:
@@ -191,7 +188,8 @@ def _draw(
                 dataset,
                 name,
                 entry=label or None,
-                within=within,
+                within=lambda points: broken(points) == 0,
+                meshes=meshes,
                 exact=lambda points, name=name, index=index: exact(points)[name][index],  # type: ignore[misc]
             )
             files += save(figure, path, formats)
@@ -248,7 +246,7 @@ def _map_of_chapter(
         "Stiffness of the chapter's machine over its poses within every limit:",
         *_range_lines(statistics),
         "",
-        f"{points**2:,} poses at z_e = {z_e:.6f} m, {inside:,} within every joint limit",
+        f"{points**2:,} poses at z_e = {z_e:z.6f} m, {inside:,} within every joint limit",
     ]
     if height is None and tilt is None and which.config is None:
         lines += ["", "Table 8.3 of the chapter, over its own poses:", *table_of_8_3]
@@ -262,7 +260,7 @@ def _require_poses(place: str, inside: int, *, drawn: bool, tripod: Tripod | Non
     if inside == 0:
         hint = "try other ranges, or --at"
         if tripod is not None:
-            hint = f"--height: the level platform reaches from {tripod.height_min:.4f} to {tripod.height_max:.4f} m"
+            hint = f"--height: the level platform reaches from {tripod.height_min:z.4f} to {tripod.height_max:z.4f} m"
         raise UnreachablePoseError(f"no pose of the map {place} is within every joint limit; {hint}")
     if drawn and inside < _MIN_TO_DRAW:
         raise UnreachablePoseError(

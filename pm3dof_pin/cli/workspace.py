@@ -176,18 +176,18 @@ def _lines(found: Workspace, result: dict[str, Any]) -> list[str]:
     are_angles = set(units) == {"rad"}
     header, rows = [f"area [{product}]", *(["area [deg^2]"] if are_angles else [])], []
     for section in found.sections[:: max(1, len(found.sections) // 10)]:
-        row = [f"{section.area:.4f}" if are_angles else f"{section.area:.4e}"]
-        rows.append([*row, f"{section.area * math.degrees(1.0) ** 2:.1f}"] if are_angles else row)
+        row = [f"{section.area:z.4f}" if are_angles else f"{section.area:.4e}"]
+        rows.append([*row, f"{section.area * math.degrees(1.0) ** 2:z.1f}"] if are_angles else row)
         if space.stacked:
-            rows[-1].insert(0, f"{shown_in(space.units[2])[0] * section.level:.4f}")
+            rows[-1].insert(0, f"{shown_in(space.units[2])[0] * section.level:z.4f}")
     ranges = [_range(*entry) for entry in zip(space.names, space.units, found.ranges, strict=False)]
     if space.stacked:
         name, unit = space.names[2], space.units[2]
         header.insert(0, f"{name} [{shown_in(unit)[1]}]")
-        volume = f"{found.volume:.6f}" if are_angles else f"{found.volume:.4e}"
+        volume = f"{found.volume:z.6f}" if are_angles else f"{found.volume:.4e}"
         of_volume = f"{unit}^3" if set(space.units) == {unit} else f"{product} {unit}"
         ranges = [f"volume {volume} {of_volume}", _range(name, unit, found.level_range), *ranges]
-    shares = ", ".join(f"{name} {share:.1%}" for name, share in result["limit_shares"].items() if share)
+    shares = ", ".join(f"{name} {share:z.1%}" for name, share in result["limit_shares"].items() if share)
     lines = [*table_lines(header, rows), "", ", ".join(ranges), f"limits along the boundary: {shares}"]
     if "printed_ranges" in result:
         lines += ["", "next to the chapter's working ranges:", *(f"- {text}" for text in result["printed_ranges"])]

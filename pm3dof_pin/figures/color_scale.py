@@ -15,6 +15,7 @@ from pm3dof_pin.typing import Array
 _LOGARITHMIC_FROM = 10.0  # ratio of the largest to the least value
 _NEARLY_CONSTANT = 0.1  # variation relative to the mean; the picture says so if it is less
 TAILS = (1.0, 5.0)  # of the values at either end [%], which may lie beyond the colours ...
+_MANY_LEVELS = 10  # from which every second one has a tick
 _FEW_TICKS = 5
 _MAX_KINDS = 8
 _TAIL_SPAN = 3.0  # ... if they would stretch the scale by this factor
@@ -49,8 +50,8 @@ class ColorScale:
         if self.kinds:
             return list(self.kinds)
         if not self.logarithmic:
-            every = max(1, math.ceil(len(self.levels) / 9))
-            return [float(level) for level in self.levels[::every]]
+            every, step = 1 if len(self.levels) < _MANY_LEVELS else 2, self.levels[1] - self.levels[0]
+            return [float(level) for level in self.levels if round(level / step) % every == 0]
         decades = math.log10(self.levels[-1] / self.levels[0])
         heads = (1, 2, 5) if decades < 4 else (1,)
         found = [
@@ -141,7 +142,7 @@ def _decimals(value: float) -> int:
 
 
 def _round_levels(least: float, greatest: float) -> Array:
-    return np.asarray(MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(least, greatest), dtype=float)
+    return np.asarray(MaxNLocator(16, steps=[1, 2.5, 5, 10]).tick_values(least, greatest), dtype=float)
 
 
 def _decade_levels(least: float, greatest: float) -> Array:

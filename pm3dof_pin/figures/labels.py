@@ -62,8 +62,8 @@ def drawn(values: ArrayLike, unit: str) -> Array:
 def in_words(name: str, value: float, unit: str, digits: int = 4) -> str:
     """Return a coordinate and its value: $z_e$ = 0.4873 m, $r_x$ = 5.0 deg."""
     if unit == "rad":
-        return f"{symbol(name)} = {np.degrees(value) + 0.0:.1f} deg".replace("-", "\N{MINUS SIGN}")
-    return f"{symbol(name)} = {value + 0.0:.{digits}f} {unit}".replace("-", "\N{MINUS SIGN}")
+        return f"{symbol(name)} = {np.degrees(value):z.1f} deg".replace("-", "\N{MINUS SIGN}")
+    return f"{symbol(name)} = {value:z.{digits}f} {unit}".replace("-", "\N{MINUS SIGN}")
 
 
 def fixed_coordinates(dataset: xr.Dataset | xr.DataArray) -> dict[str, tuple[float, str]]:

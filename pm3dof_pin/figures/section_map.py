@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from matplotlib.tri import Triangulation
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
@@ -31,7 +31,8 @@ from pm3dof_pin.figures.labels import (
     plain,
     typeset,
 )
-from pm3dof_pin.figures.outlined_mesh import Within, outlined_mesh
+from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, outlined_mesh
+from pm3dof_pin.figures.raster_surface import RasterSurface
 from pm3dof_pin.figures.style import (
     COLORMAP,
     END_LINE,
@@ -66,6 +67,7 @@ def section_map(
     entry: str | None = None,
     within: Within | None = None,
     exact: Callable[[Array], Array] | None = None,
+    meshes: dict[bytes, OutlinedMesh] | None = None,
 ) -> Figure:
     """Draw one variable of a section as a surface and as filled contours, two journal columns wide.
 
@@ -73,11 +75,12 @@ def section_map(
     is found by the limits `within`; without them, the map ends at the last poses. `exact` evaluates the variable at any
     points within the limits, shape=(n, 2) to (n,); without it, values are interpolated between poses and extrapolated
     to the outline. `entry` is the label along the variable's own dimension, or of a diagonal entry of a matrix.
+    `meshes` keeps the triangles from one picture of a section and its limits for the next ones.
 
     Raises:
         InvalidValueError: no such variable, other dimensions, or fewer than three values to draw.
     """
-    sheet = _sheet(section, variable, entry, within, exact)
+    sheet = _sheet(section, variable, entry, within, exact, {} if meshes is None else meshes)
     with house_style():
         height = _HEIGHT + _LINE * sheet.title.count("\n")
         figure = new_figure(TWO_COLUMNS, height)
@@ -131,6 +134,7 @@ def _sheet(
     entry: str | None,
     within: Within | None,
     exact: Callable[[Array], Array] | None,
+    meshes: dict[bytes, OutlinedMesh],
 ) -> _Sheet:
     if name not in section.data_vars:
         raise InvalidValueError("variable", name, f"one of {', '.join(map(str, section.data_vars))}")
@@ -150,7 +154,10 @@ def _sheet(
     units = [str(section[coordinate].attrs["units"]) for coordinate in across]
     axes = [section[coordinate].values for coordinate in across]
     excluded = section[BROKEN_LIMITS].transpose(*variable.dims).values != 0
-    mesh = outlined_mesh(axes[0], axes[1], np.isfinite(values), within, excluded)
+    known = np.isfinite(values)
+    if (key := known.tobytes()) not in meshes:
+        meshes[key] = outlined_mesh(axes[0], axes[1], known, within, excluded)
+    mesh = meshes[key]
     heights = mesh.values(values)
     if exact is not None:
         found = exact(mesh.points)
@@ -191,23 +198,12 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
 
     points = np.column_stack([sheet.points[:, :2], heights(sheet.points[:, 2])])
     faces = points[sheet.triangles]
-    means = faces[:, :, 2].mean(axis=1)
-    face_colors = colormaps[COLORMAP](scale.smooth_norm()(10.0**means if scale.logarithmic else means))
+    norm = scale.smooth_norm()
+    colors = colormaps[COLORMAP](norm(10.0 ** faces[:, :, 2] if scale.logarithmic else faces[:, :, 2]))
     limits = np.vstack([sheet.extent, heights(levels)])
-    # Lines and triangles are in one collection, so that they are depth-sorted together; the lines are drawn slightly
-    # nearer than the triangles they lie in.
     lifted = np.concatenate([sheet.grid[..., :2], heights(sheet.grid[..., 2:])], axis=-1)
     segments = _grid_segments(lifted) + 0.02 * np.ptp(limits, axis=1) / _BOX * towards_viewer(_ELEVATION, _AZIMUTH)
-    line_colors = np.tile([0.0, 0.0, 0.0, 0.6], (len(segments), 1))
-    axes.add_collection3d(
-        Poly3DCollection(
-            np.concatenate([faces, segments]),
-            facecolors=np.concatenate([face_colors, line_colors]),
-            edgecolors=np.concatenate([face_colors, line_colors]),
-            linewidths=0.35,
-            rasterized=True,  # many small faces would make vector files large
-        )
-    )
+    axes.add_collection(RasterSurface(faces, colors, segments, (0.0, 0.0, 0.0, 0.6), 0.35), autolim=False)
     for lines, style in ((sheet.limit_lines, LIMIT_LINE), (sheet.end_lines, END_LINE)):
         raised = [np.column_stack([line[:, :2], heights(line[:, 2])]) for line in lines]
         if raised:
@@ -233,11 +229,11 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
 
 
 def _grid_segments(grid: Array) -> Array:
-    """Return some grid lines as flat triangles (p, q, q), shape=(s, 3, 3)."""
+    """Return pieces of some grid lines, shape=(s, 2, 3)."""
     segments = []
     for lines in (grid, grid.swapaxes(0, 1)):
         drawn = lines[np.unique(np.linspace(0, len(lines) - 1, _LINES).round().astype(int))]
-        pairs = np.stack([drawn[:, :-1], drawn[:, 1:], drawn[:, 1:]], axis=2).reshape(-1, 3, 3)
+        pairs = np.stack([drawn[:, :-1], drawn[:, 1:]], axis=2).reshape(-1, 2, 3)
         segments.append(pairs[np.all(np.isfinite(pairs), axis=(1, 2))])
     # the last ray of a polar grid may coincide with the first
     lines_drawn = np.unique(np.concatenate(segments).round(9), axis=0)
@@ -245,7 +241,7 @@ def _grid_segments(grid: Array) -> Array:
     parts = np.linspace(0.0, 1.0, max(1, -(-_PIECES // max(grid.shape[:2]))) + 1)[:, None, None, None]
     first, last = lines_drawn[:, :1], lines_drawn[:, 1:2]
     starts, ends = (first + part * (last - first) for part in (parts[:-1], parts[1:]))
-    return np.concatenate([starts, ends, ends], axis=2).reshape(-1, 3, 3)
+    return np.concatenate([starts, ends], axis=2).reshape(-1, 2, 3)
 
 
 def _draw_contours(axes: Any, sheet: _Sheet) -> Any:

@@ -71,6 +71,7 @@ END_LINE: dict[str, Any] = {"color": "#777777", "linewidth": 1.0, "linestyle": (
 
 FORMATS = ("png", "pdf", "svg", "dark.png")
 """Suffixes of pictures; the last is for dark pages."""
+_DEFLATION = 3  # two thirds of the time of the usual 6, for files 8 % larger
 _WIDEST_TITLE, _SMALLEST_TITLE = 0.97, 5.0  # part of the picture's width; points
 # names of metadata: title, software, command, and a date that is left out
 _METADATA = {
@@ -160,8 +161,10 @@ def save_figure(figure: Figure, path: Path | str, command: str | None = None) ->
     with house_style(), _fonts_undated(), write_atomically(path) as temporary:
         fit_title(figure)
         with darkened(figure) if is_dark else nullcontext():
-            ground = {"facecolor": figure.get_facecolor()} if is_dark else {}
-            figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata, **ground)
+            given: dict[str, Any] = {"facecolor": figure.get_facecolor()} if is_dark else {}
+            if kind == "png":
+                given["pil_kwargs"] = {"compress_level": _DEFLATION}
+            figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata, **given)
     return Path(path)
 
 

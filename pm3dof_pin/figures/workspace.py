@@ -206,28 +206,31 @@ def _smoothed(points: Array, triangles: NDArray[np.intp]) -> Array:
 
     By steps in and out that keep the volume (G. Taubin, 1995); edges are rounded by less than a cell.
     """
-    from trimesh import Trimesh
-    from trimesh.smoothing import filter_taubin
-
     sizes = np.ptp(points, axis=0)
-    surface = Trimesh(points / sizes, triangles, process=False)
-    filter_taubin(surface, lamb=0.5, nu=0.53, iterations=_SMOOTHING)  # type: ignore[no-untyped-call]
-    smoothed: Array = np.asarray(surface.vertices) * sizes
-    return smoothed
+    smoothed: Array = points / sizes
+    mean = _mean_of_neighbours(len(points), triangles)
+    for step in range(_SMOOTHING):
+        smoothed = smoothed + (-0.53 if step % 2 else 0.5) * (mean @ smoothed - smoothed)
+    return np.asarray(smoothed * sizes)
 
 
 def _spread(limits: NDArray[np.intp], triangles: NDArray[np.intp]) -> Array:
     """Return the weight of each limit at each vertex, shape=(vertices, limits): its part among the neighbours."""
+    weights: Array = np.eye(int(limits.max(initial=0)) + 1)[limits]
+    mean = _mean_of_neighbours(len(limits), triangles)
+    for _ in range(_SPREADING):
+        weights = 0.5 * (weights + mean @ weights)
+    return weights
+
+
+def _mean_of_neighbours(count: int, triangles: NDArray[np.intp]) -> Any:
+    """Return the sparse matrix that takes values at vertices to the means of their neighbours' along the edges."""
     from scipy.sparse import coo_array
 
-    weights = np.eye(int(limits.max(initial=0)) + 1)[limits]
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     start, end = np.concatenate([pairs, pairs[:, ::-1]]).T
-    beside = coo_array((np.ones(len(start)), (start, end)), shape=(len(limits), len(limits))).tocsr()
-    count = np.maximum(beside.sum(axis=1), 1.0)[:, None]
-    for _ in range(_SPREADING):
-        weights = 0.5 * (weights + (beside @ weights) / count)
-    return np.asarray(weights)
+    share = 1.0 / np.maximum(np.bincount(start, minlength=count), 1)
+    return coo_array((share[start], (start, end)), shape=(count, count)).tocsr()
 
 
 def _first(flags: Flags) -> NDArray[np.intp]:
@@ -317,9 +320,7 @@ def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
             text = text.replace("-", "\N{MINUS SIGN}")
             axes.text(x, y, text, fontsize=6.5, ha="center", va="center", bbox=box)
     if sheet.workspace.space.stacked:
-        box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
-        words = f"on the lines: {sheet.labels[2]}"
-        axes.text(0.02, 0.98, words, fontsize=7.0, va="top", bbox=box, transform=axes.transAxes)
+        axes.set_title(f"on the lines: {sheet.labels[2]}", fontsize=7.0, pad=3.0)
     if sheet.printed is not None:
         axes.add_patch(_rectangle(sheet.printed[0], sheet.printed[1]))
     axes.set(xlabel=sheet.labels[0], ylabel=sheet.labels[1], aspect="equal" if sheet.same_unit else "auto")

@@ -180,8 +180,13 @@ class Branches:
         if self._tool:
             right[len(rows) - count : len(rows) - held, held:] = np.eye(count - held)
         right[len(rows) - held :, :held] = np.eye(held)
-        rates: Matrix = np.linalg.lstsq(rows, right, rcond=None)[0][self._drives]
-        return rates
+        try:
+            rates = np.linalg.lstsq(rows, right, rcond=None)[0]
+        except np.linalg.LinAlgError:  # its singular values do not converge for some of several hundred rows
+            from scipy.linalg import lstsq
+
+            rates = lstsq(rows, right, cond=max(rows.shape) * np.finfo(float).eps, lapack_driver="gelsy")[0]
+        return np.asarray(rates[self._drives])
 
     # home
 

@@ -25,7 +25,7 @@ class BrokenLimit:
 
     def __str__(self) -> str:
         factor, unit, digits = (1.0, "m", 4) if self.unit == "m" else (180.0 / math.pi, "deg", 2)
-        value, lower, upper = (f"{number * factor:.{digits}f}" for number in (self.value, self.lower, self.upper))
+        value, lower, upper = (f"{number * factor:z.{digits}f}" for number in (self.value, self.lower, self.upper))
         return f"{self.name} at {value} {unit}, outside {lower} .. {upper} {unit}"
 
 

@@ -7,11 +7,22 @@ import math
 import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array
 
+MOST_JOINTS = 100
+"""Robots without a program that have more joints are not moved through many poses: each takes up to a second."""
+
 _STEPS = 16  # per characteristic length or half turn
 _MAX_DISTANCE = 16.0  # largest distance from home [characteristic lengths]
+
+
+def require_quick_poses(robot: Robot, what: str) -> None:
+    """Refuse many poses of a robot of more than :data:`MOST_JOINTS` without a program (InvalidValueError)."""
+    if robot.model.nv > MOST_JOINTS and robot.engine == "program" and robot.continuation(robot.coordinates) is None:
+        problem = f"of {robot.name} take minutes, since its {robot.model.nv} joints are closed one pose at a time"
+        raise InvalidValueError(what, problem=problem, expected=f"at most {MOST_JOINTS} joints, or a program")
 
 
 def coordinate_range(robot: Robot, coordinate: Coordinate) -> tuple[float, float]:
@@ -19,6 +30,9 @@ def coordinate_range(robot: Robot, coordinate: Coordinate) -> tuple[float, float
 
     A joint that can turn more than once has a range of one turn. A coordinate without its own range goes from home as
     far as all limits permit.
+
+    Raises:
+        InvalidValueError: that would take minutes, of a robot of more than :data:`MOST_JOINTS` without a program.
     """
     lower, upper = robot.range_of(coordinate)
     if coordinate.joint is not None and coordinate.unit == "rad" and not upper - lower <= 2.0 * math.pi:
@@ -41,6 +55,7 @@ def _span(robot: Robot, coordinate: Coordinate) -> tuple[float, float] | None:
     It is moved from home in both directions in steps of a sixteenth of the characteristic length or of half a turn,
     until a limit is broken or no pose is found; ends are off by at most one step. None if it has no end or cannot move.
     """
+    require_quick_poses(robot, "ranges that are not declared")
     home = float(robot.home_coordinates[robot.coordinates.index(coordinate)])
     step, count = math.pi / _STEPS, _STEPS
     if coordinate.unit == "m":

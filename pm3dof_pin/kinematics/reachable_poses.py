@@ -11,7 +11,7 @@ import numpy as np
 from pm3dof_pin.arrays import require_count, require_kind
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
+from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges, require_quick_poses
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import instantaneous_mobility
 from pm3dof_pin.kinematics.poses import Poses
@@ -59,7 +59,8 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
     Raises:
         ConvergenceError: the loops do not close at home.
         UnreachablePoseError: hardly any pose was found within the limits, or nothing moves.
-        InvalidValueError: the margin is not between 0 and 0.5, or the count is not an integer.
+        InvalidValueError: the margin is not between 0 and 0.5, the count is not an integer, or the robot has more than
+            100 joints and no program.
     """
     require_kind("robot", robot, Robot, "pm.load")
     require_count("count", count, 0)
@@ -67,6 +68,7 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
         raise InvalidValueError("margin", margin, "a part of the range, at least 0 and less than 0.5")
     if not robot.coordinates:
         raise UnreachablePoseError(f"{robot.name}: has no coordinates, since it has no actuated joints")
+    require_quick_poses(robot, "random poses")
     for by_commands in (False, True):
         if not (robot.command_coordinates if by_commands else _has_ranges(robot)):
             continue

@@ -25,7 +25,9 @@ from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix
 
-_AT_ONCE = 4096  # poses per block, to limit memory
+_AT_ONCE = 1024  # poses per block, to limit memory
+_LEAST_SQUARE = 1e-6  # least square of a singular value of closures, relative to the greatest, that is squared
+_ROUNDING, _ACCURATE = 1e-14, 1e-9  # of squares of size 1; relative, of those that are measured
 
 
 def singularity_measures(
@@ -75,6 +77,15 @@ def _measured(robot: Robot, compiled: Compiled, q: Matrix, ranks: list[int], thr
     groups = compiled.program.split(compiled(q, geometry.values(robot, compiled.program.parameters), threads=threads))
     closed = groups["residual"] <= ASSEMBLED_TOLERANCE * robot.characteristic_length  # False for NaN
     rows, tool = (np.where(closed[:, None, None], groups[name], 0.0) for name in ("closures", "tool"))
+    values, sound = np.zeros((len(q), 4)), np.zeros(len(q), dtype=bool)
+    if rows.shape[1] == ranks[0] > 0:
+        values, sound = _by_squares(robot, rows, tool, ranks)
+    left = np.flatnonzero(closed & ~sound)
+    values[left], sound[left] = _by_singular_values(robot, rows[left], tool[left], ranks)
+    return values, sound
+
+
+def _by_singular_values(robot: Robot, rows: Array, tool: Array, ranks: list[int]) -> tuple[Array, Mask]:
     _, sizes, directions = np.linalg.svd(rows)
     count = (sizes > robot.rank_tolerance * sizes.max(axis=1, initial=0.0, keepdims=True)).sum(axis=1)
     free = np.swapaxes(directions[:, ranks[0] :], 1, 2)
@@ -82,10 +93,44 @@ def _measured(robot: Robot, compiled: Compiled, q: Matrix, ranks: list[int], thr
     motions = tool @ free
     seen = (rates, motions, np.concatenate([rates, motions], axis=1))
     values = [sizes, *(np.linalg.svd(matrix, compute_uv=False) for matrix in seen)]
-    least = [
-        v[:, rank - 1] if 0 < rank <= v.shape[1] else np.zeros(len(q)) for v, rank in zip(values, ranks, strict=True)
-    ]
-    return np.stack(least, axis=1), closed & (count == ranks[0])
+    return _least(values, ranks), count == ranks[0]
+
+
+def _by_squares(robot: Robot, rows: Array, tool: Array, ranks: list[int]) -> tuple[Array, Mask]:
+    """Measure by eigenvalues of squares, in half the time; sound where rounding leaves the measures nine digits.
+
+    With closures A of full rank and what is seen of the joints B, drives or tool, the singular values of B on the free
+    motions are roots of eigenvalues of B P B^T, P = I - A^T (A A^T)^-1 A.
+    """
+    values, sound = np.zeros((len(rows), 4)), np.zeros(len(rows), dtype=bool)
+    gram = rows @ np.swapaxes(rows, 1, 2)
+    squares = np.linalg.eigvalsh(gram)
+    greatest = squares[:, -1]
+    known = np.flatnonzero(squares[:, 0] > max(_LEAST_SQUARE, robot.rank_tolerance**2) * greatest)
+    rows, tool, squares, greatest = rows[known], tool[known], squares[known], greatest[known]
+    drives, turned = robot.actuated_indices, np.swapaxes(tool, 1, 2)
+    count = len(drives)
+    across = np.concatenate([rows[:, :, drives], rows @ turned], axis=2)
+    felt = np.swapaxes(across, 1, 2) @ np.linalg.solve(-gram[known], across)
+    felt[:, :count, :count] += np.eye(count)
+    felt[:, :count, count:] += turned[:, drives]
+    felt[:, count:, :count] += tool[:, :, drives]
+    felt[:, count:, count:] += tool @ turned
+    parts = (felt[:, :count, :count], felt[:, count:, count:], felt)
+    found = [squares, *(np.linalg.eigvalsh(part) for part in parts)]
+    least = _least([np.maximum(part[:, ::-1], 0.0) for part in found], ranks)
+    rounding = _ROUNDING * greatest / squares[:, 0]
+    wanted = np.where(np.array(ranks) > 0, least, np.inf).min(axis=1)
+    values[known], sound[known] = np.sqrt(least), rounding <= _ACCURATE * wanted
+    return values, sound
+
+
+def _least(values: list[Array], ranks: list[int]) -> Array:
+    """Return the least of as many values as the rank, of each type, shape=(n, 4)."""
+    zero = np.zeros(len(values[0]))
+    return np.stack(
+        [v[:, rank - 1] if 0 < rank <= v.shape[1] else zero for v, rank in zip(values, ranks, strict=True)], axis=1
+    )
 
 
 def _compiled(robot: Robot) -> Compiled:

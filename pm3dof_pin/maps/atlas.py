@@ -254,7 +254,7 @@ def _compute(
                 progress(done, atlas.grid.size)
         if not any((atlas.store.read(BROKEN_LIMITS, atlas.slices(block)) == 0).any() for block in atlas.blocks()):
             raise UnreachablePoseError(f"no pose of the atlas over {', '.join(atlas.grid.dims)} is within every limit")
-        return atlas.store.finish(map(atlas.slices, atlas.blocks()))
+        return atlas.store.finish(map(atlas.slices, atlas.blocks()), threads)
     except OSError as error:
         reason = error.strerror or str(error)
         if error.filename and error.errno == errno.ENOENT:
@@ -381,8 +381,10 @@ def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterato
     from distributed import as_completed
 
     absolute = dataclasses.replace(atlas, path=atlas.path.resolve())
-    futures = [cluster.submit(_compute_block, absolute, block, pure=False) for block in todo]
     try:
+        # once to each worker, which keeps what the first block found out about the robot
+        kept: Any = cluster.scatter(absolute, broadcast=True, hash=False)  # type: ignore[no-untyped-call]
+        futures = [cluster.submit(_compute_block, kept, block, pure=False) for block in todo]
         ready = as_completed(futures)  # type: ignore[no-untyped-call]
         idle = time.monotonic()
         while not ready.is_empty():  # type: ignore[no-untyped-call]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import itertools
 import json
 import logging
 import math
@@ -18,8 +19,9 @@ import shutil
 import socket
 import time
 import zlib
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -45,6 +47,7 @@ _RECORDS = "finished"
 _NO_CHECKSUM = "0" * 64  # in its place while the checksum is computed
 _ATTRIBUTE = re.compile(rb'"checksum": "([0-9a-f]{64})"')
 _TRAILER = b"\nsha256 "  # of a NetCDF file; its library ignores what follows the end of the data
+_DEFLATION = 1  # level of the fast deflater: 2 and 3 take longer for as many bytes
 _log = logging.getLogger(__name__)
 
 
@@ -203,11 +206,14 @@ class AtlasStore:
         if self.parts.is_dir() and not (unless_resumable and self._records()):
             shutil.rmtree(self.parts)
 
-    def finish(self, blocks: Iterable[Place]) -> Path:
-        """Make the result from the finished blocks and return its path; OSError for a full disk or a damaged block."""
+    def finish(self, blocks: Iterable[Place], threads: int | None = None) -> Path:
+        """Make the result from the finished blocks and return its path; OSError for a full disk or a damaged block.
+
+        A NetCDF file is made on as many threads, by default on all processors.
+        """
         if self.path.suffix == ".nc":
             try:
-                self._copy_to_netcdf(blocks)
+                self._copy_to_netcdf(blocks, threads)
             except OutputError as error:
                 raise OSError(error.reason) from error
             self.remove()
@@ -272,21 +278,47 @@ class AtlasStore:
                 attributes={key: _plain(value) for key, value in variable.attributes.items()},
             )
 
-    def _copy_to_netcdf(self, blocks: Iterable[Place]) -> None:
-        """Copy the store block by block, in order."""
+    def _copy_to_netcdf(self, blocks: Iterable[Place], threads: int | None) -> None:
+        """Copy the store block by block, in order: each is a chunk, deflated on one of the threads."""
+        import h5py
         import netCDF4
 
         with write_atomically(self.path) as temporary:
             try:
                 with netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
-                    self._fill(file, blocks)
-            except RuntimeError as error:  # raised by the NetCDF library for a full disk
+                    self._declare(file)
+                with h5py.File(temporary, "r+") as file:
+                    for name, first, chunk in self._deflated(blocks, threads or os.cpu_count() or 1):
+                        file[name].id.write_direct_chunk(first, chunk)
+            except RuntimeError as error:  # raised by the libraries for a full disk
                 raise OSError(f"{error} while writing the NetCDF file: is the disk full?") from error
             with temporary.open("r+b") as data:
                 checksum = hashlib.file_digest(data, "sha256").hexdigest()
                 data.write(_TRAILER + checksum.encode())
 
-    def _fill(self, file: Any, blocks: Iterable[Place]) -> None:
+    def _deflated(self, blocks: Iterable[Place], threads: int) -> Iterator[tuple[str, Block, bytes]]:
+        """Yield the chunks of the NetCDF file in order, a few ahead at a time: array, first index and contents."""
+
+        def deflated(entry: Variable, place: Place) -> tuple[str, Block, bytes]:
+            from isal import isal_zlib
+
+            own_shape = tuple(entry.own_dims.values())
+            values = np.zeros(self.block_shape + own_shape, dtype=entry.dtype)  # whole, also at the end of the grid
+            values[tuple(slice(part.stop - part.start) for part in place)] = self.read(entry.name, place)
+            first = (*(part.start for part in place), *(0 for _ in own_shape))
+            shuffled = values.view(np.uint8).reshape(-1, entry.dtype.itemsize).T  # by significance, as HDF5 does
+            return entry.name, first, isal_zlib.compress(np.ascontiguousarray(shuffled), _DEFLATION)
+
+        ahead: deque[Future[tuple[str, Block, bytes]]] = deque()
+        with ThreadPoolExecutor(threads) as pool:
+            for place, entry in itertools.product(blocks, self.variables):
+                ahead.append(pool.submit(deflated, entry, place))
+                if len(ahead) > 2 * threads:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+
+    def _declare(self, file: Any) -> None:
         file.setncatts(dict(self.attributes))
         for name, (values, attributes) in self.coordinates.items():
             file.createDimension(name, len(values))
@@ -307,9 +339,6 @@ class AtlasStore:
                 chunksizes=self.block_shape + tuple(entry.own_dims.values()),
                 fill_value=False,
             ).setncatts(dict(entry.attributes))
-        for place in blocks:
-            for entry in self.variables:
-                file.variables[entry.name][place] = self.read(entry.name, place)
 
 
 def require_intact(path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.coordinate_ranges import require_quick_poses
 from pm3dof_pin.maps.datasets import limit_names
 from pm3dof_pin.typing import Array, Branch
 
@@ -26,7 +27,6 @@ _BATCH = 200_000  # poses at a time
 _AROUND = 0.02  # of a range, beyond its ends
 # of the points otherwise taken along each coordinate: robots that no program solves, serial arms with many solutions
 _SLOW, _OF_ARMS = 0.25, 0.5
-_MOST_JOINTS = 100  # without a program
 _MOST_OPERATIONS = 150_000  # of a Newton step: a workspace takes some hundred thousand of them
 
 
@@ -48,6 +48,7 @@ class LimitSpace:
     box: Array  #: where the search starts; it goes on beyond if the set does, shape=(number of coordinates, 2) [m, rad]
     start: Array  #: a pose from which the set is also searched: home, shape=(number of coordinates,) [m, rad]
     density: float = 1.0  #: points along each coordinate, relative to the usual number
+    ends: Array | None = None  #: declared ranges, beyond which some limit is broken, shape=(number of coordinates, 2)
     #: if poses of all branches count, the limits as above and the numbers of the branches
     branches: Callable[[Array], tuple[Flags, NDArray[np.int64]]] | None = None
 
@@ -60,7 +61,10 @@ class LimitSpace:
         """Tell which points are within the limits, shape=(..., number of coordinates); or (..., 2), at a level."""
         if level is not None:
             points = np.concatenate([points, np.full((*points.shape[:-1], 1), level)], axis=-1)
-        within: NDArray[np.bool_] = self.broken_limits(points) == 0
+        within: NDArray[np.bool_] = np.ones(points.shape[:-1], dtype=bool)
+        if self.ends is not None:  # no loops are closed outside
+            within &= np.all((points >= self.ends[:, 0]) & (points <= self.ends[:, 1]), axis=-1)
+        within[within] = self.broken_limits(points[within]) == 0
         return within
 
 
@@ -88,9 +92,7 @@ def robot_space(
     if solver is not None and solver.operations > _MOST_OPERATIONS:
         size = f"{robot.name}, of {solver.operations:,} operations a Newton step"
         raise InvalidValueError("robot", size, f"at most {_MOST_OPERATIONS:,} for a workspace")
-    if solver is None and robot.engine == "program" and robot.model.nv > _MOST_JOINTS:
-        size = f"{robot.name}, of {robot.model.nv} joints closed one pose at a time"
-        raise InvalidValueError("robot", size, f"at most {_MOST_JOINTS} for a workspace, or a program")
+    require_quick_poses(robot, "boundaries")
     chosen = names or _default_names(robot)
     if not 1 <= len(set(chosen)) == len(chosen) <= _MAX_COORDINATES:
         expected = "one, or two for the sections, and optionally one to stack them"
@@ -124,6 +126,7 @@ def robot_space(
         broken_limits=lambda values: with_ranges(values)[0],
         box=np.array(box),
         start=home,
+        ends=ends,
         density=_density(robot),
         branches=with_ranges if all_branches else None,
     )

@@ -57,3 +57,14 @@ def test_names_and_numbers() -> None:
     assert parameter_words("O_e.rz") == "$O_{e}$, about $z$"
     assert parameter_words("some name") == "some name"
     assert (axis_number(1500.0), axis_number(0.05), axis_number(1e9)) == ("1500", "0.05", "$10^{9}$")
+
+
+@pytest.mark.parametrize("ends", [(247.0, 303.0), (0.0517, 0.1093), (54.1, 61.7), (18.41, 21.13)])
+def test_ticks_are_round(ends: tuple[float, float]) -> None:
+    """Multiples of 1, 2 or 5 times a power of ten, few enough to be read."""
+    ticks = np.array(color_scale(np.linspace(*ends, 50)).ticks)
+    step = ticks[1] - ticks[0]
+    assert float(f"{step:.0e}") == pytest.approx(step, rel=1e-9)
+    assert f"{step:.0e}"[0] in "125"
+    np.testing.assert_allclose(ticks / step, np.round(ticks / step), atol=1e-6)
+    assert 3 <= len(ticks) <= 9

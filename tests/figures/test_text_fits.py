@@ -23,6 +23,11 @@ JOBS = [
     ("stiffness-map", "--robot", "hexapod", "--points", "9", "--out"),
     ("stiffness-map", "--robot", str(MACHINES / "three_rpr"), "--points", "9", "--out"),
     ("error-map", "--robot", "linear_delta", "--points", "5", "--out"),
+    (
+        *("transmission", "--robot", str(MACHINES / "ankle" / "ankle.xml"), "--joints", "pitch,roll"),
+        *("--over", "pitch", "-20", "20", "5", "--over", "roll", "-10", "10", "5"),
+        *("--effort", "40", "--speed", "10", "--out"),
+    ),
 ]
 
 

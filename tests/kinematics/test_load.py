@@ -50,6 +50,12 @@ def test_a_model_is_not_changed(model: pin.Model) -> None:
     assert not fixed.lowerPositionLimit.any()
 
 
+def test_a_model_without_a_name_is_a_robot() -> None:
+    robot = pm.load(pin.buildSampleModelManipulator())
+    assert str(robot) == repr(robot)
+    assert repr(robot).startswith("Robot(robot: 6 joints")
+
+
 @pytest.mark.parametrize("source", [3, None, ["ur5"], {"robot": "ur5"}])
 def test_what_cannot_be_loaded(source: Any) -> None:
     with pytest.raises(InvalidValueError, match=f"{type(source).__name__}.*the path of its description"):

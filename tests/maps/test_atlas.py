@@ -53,8 +53,8 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
 @pytest.mark.usefixtures("small_blocks")
-def test_values_limits_and_labels(mechanism: Robot, tripod: Tripod, tmp_path: Path, suffix: str) -> None:
-    path = compute_atlas(make(mechanism, tmp_path / f"atlas{suffix}", (7, 7, 5)))
+def test_values_limits_and_labels(slender: Robot, tripod: Tripod, tmp_path: Path, suffix: str) -> None:
+    path = compute_atlas(make(slender, tmp_path / f"atlas{suffix}", (7, 7, 5)))
     with open_atlas(path) as dataset:
         dataset.load()
         assert dataset["K"].dims == ("z_e", "theta_x", "theta_y", "axis", "axis_2")

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -143,9 +144,9 @@ def test_a_block_damaged_before_the_result_is_made(
     job = make(robot, tmp_path / "broken" / "atlas.nc")
     finish = AtlasStore.finish
 
-    def late_damage(store: AtlasStore, blocks: object) -> Path:
+    def late_damage(store: AtlasStore, *arguments: Any) -> Path:
         flip(a_chunk(store.parts))
-        return finish(store, blocks)  # type: ignore[arg-type]
+        return finish(store, *arguments)
 
     with monkeypatch.context() as patch:
         patch.setattr(AtlasStore, "finish", late_damage)

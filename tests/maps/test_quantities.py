@@ -41,8 +41,8 @@ def compute_by(table: Mapping[str, Quantity], evaluation: Evaluation, name: str)
 
 
 @pytest.fixture(scope="module")
-def tripod_poses(mechanism: Robot, reachable_poses: np.ndarray) -> Evaluation:
-    return Evaluation(MappedRobot(mechanism), mechanism.solve(reachable_poses))
+def tripod_poses(slender: Robot, reachable_poses: np.ndarray) -> Evaluation:
+    return Evaluation(MappedRobot(slender), slender.solve(reachable_poses))
 
 
 def test_all_of_the_tripod_at_10_000_poses(
@@ -86,10 +86,10 @@ def test_engines_agree(mechanism: Robot, reachable_poses: np.ndarray) -> None:
         np.testing.assert_allclose(program, pinocchio, rtol=1e-7, atol=1e-12 * np.abs(pinocchio).max())
 
 
-def test_spring_shares_of_the_tripod(mechanism: Robot, tripod: Tripod, reachable_poses: np.ndarray) -> None:
+def test_spring_shares_of_the_tripod(slender: Robot, tripod: Tripod, reachable_poses: np.ndarray) -> None:
     poses = reachable_poses[:5]
-    mapped = MappedRobot(mechanism)
-    found = compute(Evaluation(mapped, mechanism.solve(poses)), "spring_shares")
+    mapped = MappedRobot(slender)
+    found = compute(Evaluation(mapped, slender.solve(poses)), "spring_shares")
     contributions = np.einsum("njii->nij", spring_contributions(tripod, poses))
     expected = contributions / contributions.sum(axis=-1, keepdims=True)
     order = [contribution_names(tripod).index(name) for name in QUANTITIES["spring_shares"].dims[1].labels(mapped)]

@@ -41,7 +41,9 @@ def tripod_stiffness(theta_x: float, theta_y: float, z: float, stiffer: int = -1
         wrench = np.append(n, np.cross(arms[i], n))
         K += np.outer(wrench, wrench) / ((n @ GUIDES[i]) ** 2 / k[i] + 1.0 / k[3 + i])
     EI, GJ, L = 899.6698 * k[6], 697.4185 * k[6], z - CLAMP
-    C = np.diag([L**3 / (3 * EI)] * 2 + [0.0] + [L / EI] * 2 + [L / GJ])
+    poisson = EI / GJ - 1.0
+    KGA = 6.0 * (1.0 + poisson) / (7.0 + 6.0 * poisson) * 2.0 * GJ / 0.0086**2  # of a round bar, by Cowper
+    C = np.diag([L**3 / (3 * EI) + L / KGA] * 2 + [0.0] + [L / EI] * 2 + [L / GJ])
     C[0, 4] = C[4, 0] = L**2 / (2 * EI)
     C[1, 3] = C[3, 1] = -(L**2) / (2 * EI)
     S = np.zeros((3, 6))
