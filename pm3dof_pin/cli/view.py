@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import signal
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 import typer
@@ -17,7 +17,8 @@ from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
 from pm3dof_pin.cli.poses import place, solve_pose
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
+from pm3dof_pin.cli.transmission_options import limits_of_drives
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent, unit_of
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.indices import OtherMotions
@@ -30,25 +31,35 @@ from pm3dof_pin.exceptions import (
     SingularConfigurationError,
     UnreachablePoseError,
 )
+from pm3dof_pin.kinematics.actuation import motion_components
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.pose_file import read_poses
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Matrix, Motion
+from pm3dof_pin.typing import Array, Matrix, Motion
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity
+from pm3dof_pin.viewer.lacks import lacks_of
+from pm3dof_pin.viewer.polytopes import PolytopeQuantity
 from pm3dof_pin.viewer.server import is_loopback
 
 _FRAMES_PER_SECOND = 20
 _LOAD = 100.0  # whose deflection is shown first [N, N m]
 _KINDS: tuple[Motion, Motion] = ("translation", "rotation")
+_DEFLECTIONS = ("deflection_x_m", "deflection_y_m", "deflection_z_m")  # of files of `pm3dof path`
 _FOR_EVER = 10_000  # repetitions of a path
 
 
 _Shown: TypeAlias = Literal["stiffness", "compliance", "velocity", "force", "error"]
 _ELASTIC: dict[_Shown, EllipsoidMatrix] = {"stiffness": "stiffness", "compliance": "compliance"}
 _OF_MOTION: dict[_Shown, MotionQuantity] = {"velocity": "velocity", "force": "force", "error": "error"}
+
+
+LimitOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(metavar="N|JOINT=N,..", help="Show what drives of these limits can exert, or how fast they can move."),
+]
 
 
 def view(
@@ -62,6 +73,8 @@ def view(
     forces: Annotated[
         bool, typer.Option(help="Show the actuator forces that hold the weight as arrows; not along a path.")
     ] = True,
+    effort: LimitOption = None,
+    speed: LimitOption = None,
     frames: Annotated[bool, typer.Option(help="Show the frames of the tool and the loop closures.")] = False,
     labels: Annotated[
         bool, typer.Option("--labels", help="Label the points; for the chapter's machine, also lengths and angles.")
@@ -78,6 +91,7 @@ def view(
             help="Show the workspace boundary, coloured by a quantity such as felt_stiffness:z.",
         ),
     ] = None,
+    modes: Annotated[int, typer.Option(min=0, help="Number of natural modes in which the machine can swing.")] = 0,
     path: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Play a path: a file as for --poses of ik, or one POSE per line."),
@@ -116,7 +130,9 @@ def view(
     if path is not None and not chosen.is_empty:
         raise typer.BadParameter("--path cannot be combined with POSE or --configuration")
     machine = which.load()
-    along = None if path is None else _poses_on_path(machine, path, max(2, round(_FRAMES_PER_SECOND * duration) + 1))
+    along, deflections = None, None
+    if path is not None:
+        along, deflections = _poses_on_path(machine, path, max(2, round(_FRAMES_PER_SECOND * duration) + 1))
     shown = place(machine, chosen).configuration() if along is None else along.configuration(0)
     broken = list(map(str, broken_limits(machine, shown))) if along is None else _limits_on_path(along)
     with Viewer(machine, host=host, port=port) as viewer:
@@ -129,15 +145,19 @@ def view(
                 compliance=compliance,
                 of=_ELASTIC.get(of, "stiffness"),
                 others=others,
+                deflections=deflections,
                 duration=duration,
                 repetitions=_FOR_EVER,
             )
         else:
             _draw_ellipsoids(viewer, model, of, others)
+            _draw_polytopes(viewer, limits_of_drives(machine, effort=effort, speed=speed))
         if forces and along is None:
             _draw_forces(viewer, shown)
         if model is not None:
-            _draw_load(viewer, model, shares, visible=workspace is None and along is None)
+            _draw_load(viewer, model, shares, visible=workspace is None and along is None and not modes)
+            if modes:
+                viewer.modes(model, modes)
         if frames:
             viewer.frames()
         if labels:
@@ -183,11 +203,9 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
 
 
 def _elastic_model(machine: Robot) -> ElasticModel | None:
+    for lack in lacks_of(machine):
+        message(f"pm3dof: {lack}")
     if not machine.springs or machine.tool_frame is None:
-        lacks = [] if machine.springs else ["springs (--drive-stiffness)"]
-        lacks += [] if machine.tool_frame is not None else ["tool frame (--tool-frame)"]
-        missing = " and no ".join(lacks)
-        message(f"pm3dof: {machine.name} has no {missing} in its description: stiffness ellipsoids are not drawn")
         return None
     return ElasticModel(machine)
 
@@ -214,6 +232,21 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
             return
         message(f"pm3dof: drawing velocity ellipsoids instead: {error}")
         _draw_ellipsoids(viewer, None, "velocity", None)
+
+
+def _draw_polytopes(viewer: Viewer, limits: Mapping[str, Any]) -> None:
+    """Draw what limits of the drives permit, hidden at first if they are only described; of a wrist, rotations."""
+    if viewer.mechanism.tool_frame is None:
+        return
+    quantities: dict[PolytopeQuantity, str] = {"force": "effort", "speed": "speed"}
+    for of, name in quantities.items():
+        is_given = limits[name] is not None
+        try:
+            turns = all(unit_of(component) == "rad" for component in motion_components(viewer.configuration))
+            viewer.capability_polytope(of, kind=_KINDS[turns], **limits, visible=is_given)
+        except PM3DofError as error:  # such as a limit that the description lacks
+            if is_given:
+                message(f"pm3dof: no {of} polytope is drawn: {error}")
 
 
 def _draw_load(viewer: Viewer, model: ElasticModel, shares: ToolComponent | None, *, visible: bool) -> None:
@@ -261,8 +294,8 @@ def _limits_on_path(poses: Poses) -> list[str]:
     return [f"in {frames} of {len(poses)} frames of the path"] if frames else []
 
 
-def _poses_on_path(machine: Robot, path: Path, frames: int) -> Poses:
-    """Read the poses of a path and interpolate frames between them, equally spaced."""
+def _poses_on_path(machine: Robot, path: Path, frames: int) -> tuple[Poses, Matrix | None]:
+    """Read the poses of a path and interpolate frames between them, equally spaced; deflections too if it has them."""
     table = read_poses(machine, path)
     corners = table.poses.coordinates
     if len(corners) < 2:
@@ -270,7 +303,11 @@ def _poses_on_path(machine: Robot, path: Path, frames: int) -> Poses:
     if (missing := np.flatnonzero(~table.poses.solved)).size:
         raise UnreachablePoseError(f"{path}: pose {missing[0] + 1} is out of reach")
     places = np.linspace(0.0, len(corners) - 1.0, frames)
-    values = np.column_stack([np.interp(places, np.arange(len(corners)), line) for line in corners.T])
+
+    def between(columns: Iterable[Array]) -> Matrix:
+        return np.column_stack([np.interp(places, np.arange(len(corners)), column) for column in columns])
+
+    values = between(corners.T)
     poses = machine.solve(values, on_failure="nan")
     for frame in np.flatnonzero(~poses.solved)[:1]:
         before = int(places[max(frame - 1, 0)]) + 1
@@ -278,4 +315,6 @@ def _poses_on_path(machine: Robot, path: Path, frames: int) -> Poses:
             solve_pose(machine, values[frame])
         except UnreachablePoseError as error:
             raise UnreachablePoseError(f"{path}: between poses {before} and {before + 1}: {error}") from error
-    return poses
+    found = [table.others[name] for name in _DEFLECTIONS if name in table.others]
+    is_deflected = len(found) == len(_DEFLECTIONS) and np.isfinite(found).all() and np.any(found)
+    return poses, between(found) if is_deflected else None

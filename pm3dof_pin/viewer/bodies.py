@@ -31,6 +31,7 @@ _logger = logging.getLogger(__name__)
 ROOT = "/robot"
 
 _DIRECTIONS = 400  # searched for outermost points
+_SURROUNDINGS = 2.5  # fixed parts farther from all that moves are no machine [diagonals of what moves]
 _ROUND = 48  # points that stand for a round or meshed part
 
 _JOINT_COLOUR: Colour = (0.55, 0.57, 0.60)
@@ -96,19 +97,30 @@ class Bodies(tuple[DrawnBody, ...]):
         return {body.path: joints[body.joint] @ body.placement for body in self}
 
     def box(self, configuration: Configuration) -> Array:
-        """Return the least and greatest coordinates of everything drawn, shape=(2, 3) [m]."""
+        """Return the least and greatest coordinates of the machine, shape=(2, 3) [m].
+
+        What stands still and is far from all that moves, such as a ground or an obstacle, is no part of it.
+        """
         points = self._corner_points(configuration)
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
     def outermost_points(self, configuration: Configuration) -> Array:
-        """Return a few points whose convex hull contains nearly everything drawn, shape=(n, 3) [m]."""
+        """Return a few points whose convex hull contains nearly all of the machine, shape=(n, 3) [m]."""
         points = self._corner_points(configuration)
         return np.asarray(points[np.unique((points @ _on_sphere(_DIRECTIONS).T).argmax(axis=0))])
 
     def _corner_points(self, configuration: Configuration) -> Array:
         placements = self.placements(configuration)
-        clouds = [_moved(part.corners, placements[body.path]) for body in self for part in body.parts]
-        return np.concatenate(clouds) if clouds else np.zeros((1, 3))
+        clouds = [(body.joint, _moved(part.corners, placements[body.path])) for body in self for part in body.parts]
+        moving = [points for joint, points in clouds if joint] or [points for _, points in clouds]
+        if not moving:
+            return np.zeros((1, 3))
+        around = np.concatenate(moving)
+        low, high = around.min(axis=0), around.max(axis=0)
+        far = _SURROUNDINGS * float(np.linalg.norm(high - low))
+        fixed = [points for joint, points in clouds if not joint]
+        near = [points for points in fixed if np.all((points >= low - far) & (points <= high + far))]
+        return np.concatenate([around, *near])
 
 
 def joint_placements(configuration: Configuration) -> list[Array]:
@@ -262,20 +274,21 @@ def _stick_figure(mechanism: Mechanism) -> tuple[DrawnBody, ...]:
     bodies = [DrawnBody(name, joint, np.eye(4)) for joint, name in enumerate(model.names)]
     ends: list[list[tuple[str, Array]]] = [[] for _ in bodies]
     for joint in range(1, model.njoints):
-        moves_freely = model.parents[joint] == 0 and model.joints[joint].nv == 6
-        if not moves_freely:
+        if model.parents[joint] or not _floats(model, joint):
             ends[model.parents[joint]].append((model.names[joint], np.array(model.jointPlacements[joint].translation)))
         driven = model.names[joint] in mechanism.actuated_joints
         colour, radius = (colours.ROLES["drive"], 0.055) if driven else (_JOINT_COLOUR, 0.045)
         bodies[joint].parts.append(_ball("joint", np.zeros(3), radius * size, colour))
     frames = [name for loop in mechanism.closures for name in (loop.frame_a, loop.frame_b)]
     frames += [mechanism.tool_frame] if mechanism.tool_frame else []
+    inner = {loop.frame_b for loop in mechanism.closures}
     for name in dict.fromkeys(frames):
         frame = model.frames[mechanism.frame_id(name)]
         point = np.array(frame.placement.translation)
         ends[frame.parentJoint].append((name, point))
         own = colours.ROLES["tool" if name == mechanism.tool_frame else role_of(mechanism, frame.parentJoint)]
-        bodies[frame.parentJoint].parts.append(_ball(name, point, 0.04 * size, own))
+        radius = 0.036 if name in inner else 0.04  # of two at one place only one is seen
+        bodies[frame.parentJoint].parts.append(_ball(name, point, radius * size, own))
     for body, points in zip(bodies, ends, strict=True):
         own = colours.ROLES[role_of(mechanism, body.joint)]
         starts = np.zeros((len(points), 3))
@@ -284,6 +297,17 @@ def _stick_figure(mechanism: Mechanism) -> tuple[DrawnBody, ...]:
         for start, (name, end) in zip(starts, points, strict=True):
             body.parts.extend(_rod(f"to_{name}", start, end, size, own))
     return tuple(body for body in bodies if body.parts)
+
+
+def _floats(model: pin.Model, joint: int) -> bool:
+    """Return whether a joint, or several at one place that follow it, leave their body six degrees of freedom."""
+    freedoms = int(model.joints[joint].nv)
+    while freedoms < 6 and len(model.children[joint]) == 1:
+        joint = model.children[joint][0]
+        if np.any(np.abs(model.jointPlacements[joint].translation) > 0.0):
+            return False
+        freedoms += int(model.joints[joint].nv)
+    return freedoms == 6
 
 
 def _outline(points: list[tuple[str, Array]]) -> tuple[Array, list[tuple[str, Array]]]:

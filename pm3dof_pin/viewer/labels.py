@@ -6,11 +6,13 @@ import base64
 import io
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from pm3dof_pin.exceptions import FrameNotFoundError
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
@@ -23,6 +25,8 @@ _LONG = 12  # characters
 _LEG = ("B3", "D3", "E3")  # the one in front of the camera
 
 _ANGLE = re.compile(r"(?:r|theta_|rot_)([xyz])")  # names of angles of the tool: rx, theta_x
+# names that programs give to every robot, and those of the usual folders
+_NAMELESS = {"onshape", "mujoco model", "mujoco", "robot", "model", "urdf", "mjcf", "sdf", "xacro", "robots", "", "."}
 _SPOKEN = re.compile(r"[aeiouy]")
 
 
@@ -35,12 +39,18 @@ def display_name(name: str) -> str:
     return " ".join([spelled[0][:1].upper() + spelled[0][1:], *spelled[1:]])
 
 
+def display_title(mechanism: Mechanism) -> str:
+    """Return the title of a robot: its name, or that of its file or folder where the name is a program's or none."""
+    parts = [mechanism.name, *reversed(Path(mechanism.source).with_suffix("").parts)]
+    return display_name(next((part for part in parts if part.lower() not in _NAMELESS), mechanism.name))
+
+
 def display_label(name: str) -> str:
-    """Return a coordinate's name as people say it: rx is "tilt about x", left_hip_joint "left hip"."""
+    """Return a coordinate's name as people say it: rx is "tilt about x", wrist_1_joint "wrist 1"."""
     if angle := _ANGLE.fullmatch(name):
         return f"{'turn' if angle[1] == 'z' else 'tilt'} about {angle[1]}"
     words = [word for word in re.split(r"[_\-\s]+", name) if word not in ("joint", "")]
-    return " ".join(words) if words and all(len(word) > 1 for word in words) else name
+    return " ".join(words) if words and all(len(word) > 1 or word.isdigit() for word in words) else name
 
 
 def point_names(configuration: Configuration) -> dict[str, str]:

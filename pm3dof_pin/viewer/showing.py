@@ -31,7 +31,10 @@ from pm3dof_pin.viewer.scene import Json, Scene
 if TYPE_CHECKING:
     from pm3dof_pin.viewer.server import SceneServer
 
-_PARTS = ("ellipsoids", "ghosts", "load", "free_motion", "workspace", "path", "trace", "pointer", "settings", "tools")
+_PARTS = (
+    *("ellipsoids", "polytopes", "labels", "ghosts", "load", "free_motion", "workspace", "path", "trace", "pointer"),
+    *("settings", "tools"),
+)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pm3dof_pin.capability.tool_capability import ToolCapability
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, Unit
 from pm3dof_pin.elastic.indices import OtherMotions
 from pm3dof_pin.exceptions import SingularConfigurationError
@@ -19,18 +20,22 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.programs.elimination import PIVOT
 from pm3dof_pin.typing import Array, Matrix, Motion, Vector
-from pm3dof_pin.viewer import colours, ellipsoids
+from pm3dof_pin.viewer import colours, ellipsoids, polytopes
 from pm3dof_pin.viewer.bodies import DrawnBody
 from pm3dof_pin.viewer.ellipsoids import EllipsoidQuantity
 from pm3dof_pin.viewer.labels import display_label
 from pm3dof_pin.viewer.legs import about_body
 from pm3dof_pin.viewer.page_programs import PagePrograms
 from pm3dof_pin.viewer.plane import MotionSpace
+from pm3dof_pin.viewer.polytopes import PolytopeQuantity
 from pm3dof_pin.viewer.scene import Json, column_major
 
 _SAME = 1e-6  # largest relative difference of items that the page may update
 _MARGIN = 0.15  # of a slider beyond its range, relative to the range, so that limits are visible
 _MAX_MARGIN = math.radians(15.0)  # of an angle
+LONG_READING = 84
+"""Characters from which numbers of a set are not repeated beside their sliders."""
+
 _STEPS = 1000  # least number of steps of a slider
 _DEGREES = 180.0 / math.pi
 
@@ -83,6 +88,7 @@ class Sliders:
             "sound_pivot": PIVOT,
             "lengths": self._programs.spring_lengths,
             "has_closures": bool(robot.closures),
+            "long_reading": LONG_READING,
         }
 
     def live_ellipsoid(
@@ -124,6 +130,42 @@ class Sliders:
         if not np.abs(forces - own).max(initial=0.0) <= _SAME * reference:
             return None
         return {"kind": "forces", "scale": scale, "length": length, "width": width, "unit": unit}
+
+    def live_polytope(
+        self,
+        at: ToolCapability,
+        configuration: Configuration,
+        *,
+        of: PolytopeQuantity,
+        kind: Motion,
+        scale: float,
+        length: float,
+    ) -> Json | None:
+        """Return how the page updates a polytope, by command, actuator and limit of each drive.
+
+        None if there are redundant drives, or the page does not compute the same motions and weight. Sizes as in
+        :meth:`live_ellipsoid`.
+        """
+        from pm3dof_pin.mechanism.loads import weight_scale
+
+        robot, motion, holding = self._robot, self._programs.motion, self._programs.holding
+        commands = [command.joint for command in robot.commands]
+        if motion is None or set(commands) != {*at.drives} or at.tool_rates.shape[-1] != len(commands):
+            return None
+        groups, order = motion.program.split(motion(configuration.q)), [commands.index(drive) for drive in at.drives]
+        if not np.abs(groups["drives"][:, order] - at.tool_rates).max() <= _SAME * np.abs(at.tool_rates).max():
+            return None
+        if of == "force":
+            least = _SAME * np.abs(at.weight).max(initial=weight_scale(robot.model, 1e-6))
+            if holding is None or not np.abs(holding(configuration.q)[:-1] - at.weight).max() <= least:
+                return None
+        limits = at.effort if of == "force" else at.speed
+        drives = [
+            {"command": command, "scale": robot.commands[command].scale, "actuator": actuator, "limit": float(limit)}
+            for actuator, (command, limit) in enumerate(zip(order, limits, strict=True))
+        ]
+        sizes = {"scale": scale, "length": length, "unit": polytopes.unit_of(of, kind)}
+        return {"kind": "polytope", "of": of, "motion": kind, "drives": drives, **sizes}
 
     def live_shares(
         self,
@@ -205,7 +247,7 @@ def sets_of(robot: Robot) -> list[Json]:
 def reading(number: Json, value: float) -> str:
     """Format a number of a set like the page: "theta_x 10.0°", nonbreaking, with a true minus sign, none on zero."""
     slider = number["slider"]
-    text = f"{round(value * slider['factor'], slider['digits']) + 0.0:.{slider['digits']}f}".replace("-", "\u2212")
+    text = f"{value * slider['factor']:z.{slider['digits']}f}".replace("-", "\u2212")
     return f"{number['name']}\u00a0{text}{slider['unit']}"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array, require_kind
+from pm3dof_pin.arrays import finite_array, require_choice, require_kind
 from pm3dof_pin.elastic.indices import OtherMotions
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits
@@ -19,8 +19,8 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import MOTIONS, Array, Motion
-from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
+from pm3dof_pin.typing import MOTIONS, Array, Motion, Vector
+from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, shell
 from pm3dof_pin.viewer.bodies import Bodies, DrawnBody, role_of
 from pm3dof_pin.viewer.ellipsoids import (
     EXPLANATIONS,
@@ -30,25 +30,32 @@ from pm3dof_pin.viewer.ellipsoids import (
     EllipsoidQuantity,
     MotionQuantity,
 )
-from pm3dof_pin.viewer.labels import display_name, label, measures, point_names
+from pm3dof_pin.viewer.labels import display_title, label, measures, point_names
+from pm3dof_pin.viewer.lacks import immobile, lacks_of
 from pm3dof_pin.viewer.mirror import mirror
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
 from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, scale_text
 from pm3dof_pin.viewer.plane import MotionSpace
+from pm3dof_pin.viewer.polytopes import COLOURS as POLYTOPE_COLOURS
+from pm3dof_pin.viewer.polytopes import TITLES, DrawnPolytope, PolytopeQuantity, draw_polytope, tool_polytope
 from pm3dof_pin.viewer.scene import Json
 from pm3dof_pin.viewer.showing import ShownScene
-from pm3dof_pin.viewer.sliders import Sliders, reading, sets_of
+from pm3dof_pin.viewer.sliders import LONG_READING, Sliders, reading, sets_of
 from pm3dof_pin.viewer.still import still_picture
 from pm3dof_pin.viewer.surroundings import draw_surroundings
 
 if TYPE_CHECKING:
+    from pm3dof_pin.capability.transmission import Limit
     from pm3dof_pin.elastic.elastic_model import ElasticModel
     from pm3dof_pin.errors.error_parameters import GeometricErrors
 
 
 _CLOSED = 1e-6  # largest closure error of a configuration whose forces can be compared [m, rad]
 _NEAR = 1.2  # closeness of the camera: the corners of a machine's bounding box are mostly empty
+_ENLARGED = 0.15  # greatest deflection that is drawn beside a path [half diagonals of the box]
 _BULK = 3.0  # ellipsoids of a smaller axis ratio are drawn smaller, so as to hide less
+_GHOST_COLOUR = (0.165, 0.322, 1.0)  # of swinging ghosts, in free_motion.js
+_SWING = 0.08  # greatest drawn motion of a mode, in sizes of the machine
 _ROOM = (1.15, -1.15)  # extent of an ellipsoid's axes with the numbers at their ends [semi-axes]
 
 
@@ -104,7 +111,7 @@ class Viewer(ShownScene):
         port: int | None = None,
     ) -> None:
         require_kind("mechanism", mechanism, Robot, "pm.load")
-        super().__init__(display_name(mechanism.name), host, port)
+        super().__init__(display_title(mechanism), host, port)
         if model is not None and not mechanism.matches(model.rigid):
             raise InvalidValueError("model", model, f"an elastic model of {mechanism}")
         self.mechanism = mechanism
@@ -120,7 +127,10 @@ class Viewer(ShownScene):
         self._draw_bodies()
         self._space = MotionSpace.from_configuration(mechanism.home)
         self._direction: tuple[float, float, float | None] = (*self._space.camera, None)
-        self._panel |= {"robot": mechanism.name, "roles": self._roles()}
+        self._immobile = immobile(mechanism)
+        lacks = lacks_of(mechanism, None if model is None else model.springs)
+        self._panel |= {"robot": mechanism.name, "roles": self._roles(), "lacks": lacks}
+        self._panel["immobile"] = self._immobile
         if self._sliders is not None:
             self._panel["machine"] = self._sliders.machine_data(self._bodies)
         self._configuration = mechanism.home
@@ -254,6 +264,74 @@ class Viewer(ShownScene):
         block = ellipsoids.motion_block(matrix, kind, of)
         is_own = errors is None
         return self._draw_ellipsoid(block, kind, of, "free", scale=scale, explanation=EXPLANATIONS[of], is_own=is_own)
+
+    def capability_polytope(
+        self,
+        of: PolytopeQuantity = "force",
+        *,
+        kind: Motion = "translation",
+        effort: Limit = None,
+        speed: Limit = None,
+        scale: float | None = None,
+        visible: bool = True,
+    ) -> DrawnPolytope:
+        """Draw what the limits of the drives permit at the tool in the displayed configuration.
+
+        Args:
+            of: "force", all forces without a moment that the drives can exert while they hold the weight, or "speed",
+                all velocities of the tool's point.
+            kind: translations, or rotations: moments without a force, or angular velocities.
+            effort: limits of the drives' efforts [N, N m]; the description's by default.
+            speed: limits of their speeds [m/s, rad/s]; the description's by default.
+            scale: length for a value of 1 [m per unit]; by default a round one that suits the first polytope of its
+                kind, and is kept.
+            visible: whether it is shown initially.
+
+        Returns:
+            The polytope in world axes.
+
+        Raises:
+            InvalidValueError: there is no such quantity, a limit is unknown, or the drives cannot hold the weight.
+            SingularConfigurationError: the tool does not move in this way, or the drives do not determine its motion.
+            DescriptionError: there is no tool frame.
+        """
+        from pm3dof_pin.capability.tool_capability import tool_capability
+
+        require_choice("of", of, PolytopeQuantity)
+        require_choice("kind", kind, Motion)
+        at = tool_capability(self.mechanism, self._configuration, effort=effort, speed=speed)
+        drawn = tool_polytope(at, of, kind)
+        if scale is None:
+            scale = self._kept_scale((kind, of, "polytope"), drawn.greatest)
+        if not (np.isfinite(scale) and scale > 0.0):
+            raise InvalidValueError("scale", scale, "a positive length for one unit")
+        live = None
+        if sliders := self._live_sliders:
+            live = sliders.live_polytope(
+                at, self._configuration, of=of, kind=kind, scale=scale, length=self._unit_length
+            )
+        path, key = f"/polytopes/{of}_{kind}", f"{of}_{kind}_polytope"
+        draw_polytope(self.scene, path, drawn, of, scale)
+        self.scene.set_transform(path, objects.transform(translation=self._point(None)))
+        if visible:
+            self._beside[key] = self._point(None) + scale * drawn.vertices
+            self._reset_camera()
+        self._show(
+            Entry(
+                key=key,
+                title=TITLES[of, kind],
+                lines=[
+                    scale_text(scale, self._unit_length, drawn.unit, "length"),
+                    f"within the drives' {'efforts' if of == 'force' else 'speeds'}, least and greatest",
+                ],
+                values=numbers_with_unit([drawn.least, drawn.greatest], drawn.unit),
+                colour=colours.css(POLYTOPE_COLOURS[of]),
+                nodes=[path],
+                visible=visible,
+                live=live,
+            )
+        )
+        return drawn
 
     def actuator_forces(
         self, forces: ArrayLike, *, what: str = "Actuator forces", scale: float | None = None
@@ -415,6 +493,46 @@ class Viewer(ShownScene):
         )
         return deflection
 
+    def modes(self, model: ElasticModel, count: int = 3, *, visible: bool = True) -> Vector:
+        """Let the machine swing in its lowest natural modes, in the page: a ghost, exaggerated and slow.
+
+        Args:
+            model: the mechanism with its springs.
+            count: number of modes.
+            visible: whether the first of them is shown initially.
+
+        Returns:
+            Their frequencies, ascending, shape=(count or fewer,) [Hz].
+
+        Raises:
+            InvalidValueError: the elastic model is not one of the mechanism.
+            PM3DofError: as :func:`~pm3dof_pin.dynamics.modes.natural_modes`.
+        """
+        from pm3dof_pin.dynamics.modes import natural_modes
+
+        if not self.mechanism.matches(model.rigid):
+            raise InvalidValueError("model", model, f"an elastic model of {self.mechanism}")
+        found = natural_modes(model, self._configuration, count=count)
+        twists = found.body_twists(self.mechanism.model.names)
+        for number, (frequency, moved) in enumerate(zip(found.frequencies.tolist(), twists, strict=True), start=1):
+            sizes = np.linalg.norm(moved.reshape(-1, 2, 3), axis=2) * [1.0, self._radius]
+            swing = _SWING * self._radius / sizes.max(initial=0.0) * moved
+            ghost, text = f"/mode{number}", numbers_with_unit([frequency], "Hz", digits=4)
+            live: Json = {"kind": "mode", "q": self._configuration.q.tolist(), "twists": swing.tolist(), "values": text}
+            self._show(
+                Entry(
+                    key=f"mode{number}",
+                    title=f"Mode {number}",
+                    lines=["exaggerated and slow"],
+                    values=text,
+                    colour=colours.css(_GHOST_COLOUR),
+                    nodes=[ghost],
+                    visible=visible and number == 1,
+                    live=live if self._live_sliders else None,
+                )
+            )
+        return found.frequencies
+
     def frames(self, names: Iterable[str] | None = None, length: float | None = None) -> None:
         """Draw frames as three arrows: x red, y green, z blue. They move with their bodies.
 
@@ -498,10 +616,11 @@ class Viewer(ShownScene):
         forces: Sequence[ArrayLike] | None = None,
         of: EllipsoidMatrix = "stiffness",
         others: OtherMotions | None = None,
+        deflections: ArrayLike | None = None,
         duration: float = 5.0,
         repetitions: int = 1,
     ) -> None:
-        """Play a path as an animation, with its ellipsoids and forces.
+        """Play a path as an animation, with its ellipsoids and forces, and the line of the tool.
 
         Args:
             configurations: frames of the path, or solved poses, equally spaced in time, at least two.
@@ -510,12 +629,15 @@ class Viewer(ShownScene):
             forces: actuator forces in each frame, see :meth:`actuator_forces`.
             of: see :meth:`stiffness_ellipsoid`.
             others: see :meth:`stiffness_ellipsoid`.
+            deflections: displacements of the tool point in each frame, base axes, drawn beside the line of the tool,
+                enlarged, shape=(frames, 3) [m].
             duration: duration of the whole path [s].
             repetitions: number of times it is played.
 
         Raises:
             InvalidValueError: there are fewer than two frames, a different number of K or forces, or the duration is
-            not positive. SingularConfigurationError: an ellipsoid does not exist.
+            not positive. ShapeError: the deflections have another shape. SingularConfigurationError: an ellipsoid does
+            not exist.
         """
         configurations = list(configurations)
         frames = len(configurations)
@@ -546,7 +668,13 @@ class Viewer(ShownScene):
         self.scene.set_animation(animation.clips(tracks, (frames - 1) / duration), repetitions=repetitions)
         if self._sliders is not None and self.mechanism.tool_frame is not None:
             # drawn by the page
-            lines = ["line of the tool, ellipsoids along it"]
+            lines = ["line of the tool, red where a limit is broken; ellipsoids along it"]
+            if deflections is not None:
+                vectors = finite_array("deflections", deflections, (frames, 3))
+                greatest = float(np.linalg.norm(vectors, axis=1).max())
+                enlarged = ellipsoids.round_scale(greatest, ellipsoids.round_length(_ENLARGED * self._radius))
+                self._panel["path"]["deflected"] = (enlarged * vectors).round(9).tolist()
+                lines.append(f"orange: deflected, {enlarged:g} times; at most {1e6 * greatest:.3g} \u00b5m")
             nodes = ["/trace/line", "/trace/ellipsoids"]
             self._show(Entry(key="trace", title="Path", lines=lines, nodes=nodes, of_pose=False))
         self._update()
@@ -679,7 +807,7 @@ class Viewer(ShownScene):
             transforms |= self.actuator_forces(forces)
         values = {entry.key: entry.values for entry in self._entries.values() if entry.of_pose}
         said = {name: self._panel.get(name) for name in ("note", "warnings", "q")}
-        return transforms, {**said, "values": values}
+        return transforms, {**said, "values": values, "within": not broken_limits(self.mechanism, configuration)}
 
     @property
     def _live_sliders(self) -> Sliders | None:
@@ -701,12 +829,14 @@ class Viewer(ShownScene):
     def _note(self, configuration: Configuration) -> tuple[list[str], list[str]]:
         """Return notes about a configuration, and the limits it breaks."""
         broken = list(map(str, broken_limits(self.mechanism, configuration)))
-        warnings = ["Outside the joint limits:", *broken] if broken else []
+        warnings = [self._immobile] if self._immobile else []
+        warnings += ["Outside the joint limits:", *broken] if broken else []
         lines = []
         at = self.mechanism.at([configuration.q])[0]
         for entry, values in zip(self._sets, (at.coordinates, at.commands), strict=False):
             shown = [reading(number, float(value)) for number, value in zip(entry["numbers"], values, strict=True)]
-            lines.append(", ".join(shown))
+            if sum(map(len, shown)) <= LONG_READING:  # others are left to their sliders
+                lines.append(", ".join(shown))
         if self.mechanism.closures:
             residual = configuration.closure_residual
             state = "closed to" if residual < _CLOSED else "open by"

@@ -98,6 +98,7 @@ def test_serial_arm_with_meshes(page: Any, tmp_path: Path) -> None:
         np.sort(lengths) / drawn.scale, np.linalg.eigvalsh(jacobian @ jacobian.T / 1e4), rtol=1e-8
     )
     assert page.picture().std() > 0.05
+    assert page.ask("pm3dof.panel().lacks") == []  # springs were given
     assert page.browser.errors == []
 
 

@@ -169,3 +169,9 @@ def test_free_joints_and_several_freedoms() -> None:
     model.addJoint(float_joint, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])), "ball")
     bodies = Bodies.from_mechanism(Robot(model))
     assert [body.name for body in bodies] == ["float", "ball"]
+
+
+def test_the_base_of_a_stick_figure_joins_what_it_carries(load: Callable[[str], Robot]) -> None:
+    """The hexapod's six joints of the base, and not the platform, which floats on six joints of its own."""
+    base = Bodies.from_mechanism(load("hexapod"), pin.GeometryModel())[0]
+    assert {part.name for part in base.parts} == {f"to_universal{leg}_first_joint" for leg in range(1, 7)}

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from numpy.typing import NDArray
 
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
@@ -49,7 +52,8 @@ VALUES = """rows => {
     const robot = pm3dof.robot(), set = robot.data.sets[0];
     return rows.map((row) => {
         const pose = robot.moved(robot.home(), set, row);
-        return pose && [pose.residual, pose.values(set), robot.data.tool === null ? null : pose.tool];
+        if (!pose) return null;
+        return [pose.residual, pose.values(set), robot.data.tool === null ? null : pose.tool, robot.compliance(pose)];
     });
 }"""
 OVERLAPS = """(() => {
@@ -67,6 +71,22 @@ OVERLAPS = """(() => {
     return found;
 })()"""
 
+# points of the machine outside the picture, or behind the panel or the buttons
+HIDDEN = """(() => {
+    const { width, height, behind, above } = pm3dof.pane();
+    const places = pm3dof.panel().camera.points.map(pm3dof.project);
+    return places.filter(([x, y]) => !(behind <= x && x <= width && above <= y && y <= height));
+})()"""
+# a flat parallelogram, from which it can leave as such or crossed
+FLAT = """<mujoco><worldbody>
+<body name="crank"><joint name="crank" axis="0 0 1"/><geom type="capsule" fromto="0 0 0 1 0 0" size=".02"/>
+  <body name="coupler" pos="1 0 0"><joint axis="0 0 1"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".02"/></body>
+</body>
+<body name="rocker" pos=".5 0 0"><joint axis="0 0 1"/><geom type="capsule" fromto="0 0 0 1 0 0" size=".02"/></body>
+<geom type="box" pos="30 0 0" size="9 1 1"/></worldbody>
+<equality><connect body1="coupler" body2="rocker" anchor=".5 0 0"/></equality>
+<actuator><motor joint="crank"/></actuator></mujoco>"""
+
 
 @pytest.fixture(scope="module", params=[*ROBOTS, "biped"])
 def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
@@ -77,7 +97,9 @@ def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return Robot.load(ROBOTS[request.param])
 
 
-def test_the_page_moves_every_robot_as_python_does(page: Any, robot: Robot, tmp_path: Path) -> None:
+def test_the_page_moves_every_robot_as_python_does(
+    page: Any, robot: Robot, answer: Callable[..., dict[str, Any]], tmp_path: Path
+) -> None:
     viewer = Viewer(robot)
     page.open(viewer.save_html(tmp_path / "page.html").as_uri())
     # ends of the sliders: closed, or out of reach; Python, which also tries detours, reaches more beyond the limits
@@ -92,22 +114,74 @@ def test_the_page_moves_every_robot_as_python_does(page: Any, robot: Robot, tmp_
     half = np.array([0.25 * min(high - low, 1.0) for low, high in ranges])
     rows = home + rng.uniform(-1.0, 1.0, (20, len(home))) * half
     poses = robot.solve(rows, on_failure="nan")
-    for k, answer in enumerate(page.call(VALUES, rows.tolist())):
-        assert poses.solved[k] if answer is not None else not poses.within_limits[k]
-        if answer is not None:
-            assert answer[0] < 1e-12
-            np.testing.assert_allclose(answer[1], rows[k], atol=1e-10)
+    found = page.call(VALUES, rows.tolist())
+    for k, shown in enumerate(found):
+        assert poses.solved[k] if shown is not None else not poses.within_limits[k]
+        if shown is not None:
+            assert shown[0] < 1e-12
+            np.testing.assert_allclose(shown[1], rows[k], atol=1e-10)
             if robot.tool_frame is not None:
-                np.testing.assert_allclose(answer[2], poses.positions[k], atol=1e-10)
+                np.testing.assert_allclose(shown[2], poses.positions[k], atol=1e-10)
     assert poses.solved.any()
-    # readable at three sizes
+    # the compliance that the command prints
+    both = [k for k, shown in enumerate(found) if shown is not None and shown[3] is not None and poses.within_limits[k]]
+    if robot.springs and robot.tool_frame is not None:
+        assert both
+        for k, printed in zip(both, printed_compliances(robot, rows[both], answer, tmp_path), strict=True):
+            size = np.sqrt(np.diag(printed))
+            size[size == 0.0] = 1.0  # rigid directions
+            np.testing.assert_allclose(
+                np.array(found[k][3]) / np.outer(size, size), printed / np.outer(size, size), atol=1e-9
+            )
+    # readable and framed at three sizes
     try:
         for size in ((1400, 900), (800, 600), (390, 844)):
             page.browser.resize(*size)
             page.browser.settle()
             assert page.ask(OVERLAPS) == [], size
             assert page.ask("document.documentElement.scrollWidth") <= size[0]
+            assert page.ask(HIDDEN) == [], size
         assert page.picture().std() > 0.02
     finally:
         page.browser.resize(800, 600)
+    assert page.browser.errors == []
+
+
+def test_joints_at_a_limit(page: Any, tmp_path: Path) -> None:
+    """Balls that do not swing at all, as in a home of zeros, are at none; a strut at the end of its stroke is."""
+    robot = Robot.load("hexapod")
+    page.open(Viewer(robot, visuals=pin.GeometryModel()).save_html(tmp_path / "page.html").as_uri())
+    assert page.ask("[...pm3dof.pose().stoppedJoints()]") == []
+    moved = "pm3dof.robot().moved(pm3dof.pose(), pm3dof.robot().data.sets[1], [0.012, 0, 0, 0, 0, 0])"
+    assert page.ask(f"[...{moved}.stoppedJoints()]") == [robot.model.getJointId("strut1_joint")]
+
+
+def printed_compliances(
+    robot: Robot, rows: NDArray[np.float64], answer: Callable[..., dict[str, Any]], folder: Path
+) -> NDArray[np.float64]:
+    """C at poses as `pm3dof stiffness --json` prints them, shape=(n, 6, 6)."""
+    turns = np.array([coordinate.unit == "rad" for coordinate in robot.coordinates])
+    names = [f"{c.name}_{'deg' if turn else 'm'}" for c, turn in zip(robot.coordinates, turns, strict=True)]
+    file = folder / "poses.csv"
+    np.savetxt(file, np.where(turns, np.degrees(rows), rows), "%.17g", ",", header=",".join(names), comments="")
+    columns = answer("stiffness", "--robot", str(robot.files.path), "--poses", str(file))["columns"]
+    axes = ("x", "y", "z", "rx", "ry", "rz")
+    full = np.zeros((len(rows), 6, 6))
+    for i, j in zip(*np.triu_indices(6), strict=True):
+        (name,) = (name for name in columns if name.startswith(f"C_{axes[i]}_{axes[j]}_"))
+        full[:, i, j] = full[:, j, i] = columns[name]
+    return full
+
+
+def test_a_home_that_sliders_cannot_leave_says_why(page: Any, tmp_path: Path) -> None:
+    path = tmp_path / "flat.xml"
+    path.write_text(FLAT, encoding="utf-8")
+    page.open(Viewer(Robot.load(path)).save_html(tmp_path / "page.html").as_uri())
+    reason = "home is a singular pose, at which 2 branches meet: define a configuration 'home' on one of them"
+    assert reason in page.warnings()[0]
+    page.drag_slider("crank", 0.8)
+    assert reason in page.warnings()[0]
+    assert page.slider("crank") == 0.0
+    assert "no tool frame (--tool-frame)" in page.ask("document.querySelector('.lack').textContent")
+    assert page.ask("pm3dof.panel().camera.box[1][0]") < 2.0  # the obstacle at 30 m is not of the machine
     assert page.browser.errors == []

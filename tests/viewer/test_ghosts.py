@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import InvalidValueError
@@ -65,6 +66,44 @@ def test_a_load_in_a_plane_stays_in_it(page: Any, tmp_path: Path) -> None:
     wrench = entry(page)["live"]["wrench"]
     assert wrench[1] > 5.0
     assert wrench[2] == 0.0
+
+
+def test_the_machine_swings_in_a_mode(page: Any, load: Callable[[str], Robot], tmp_path: Path) -> None:
+    """The platform moves by a multiple of the mode's twist at its joint, which is that of finite differences."""
+    robot = load("pm3dof")
+    viewer, model = Viewer(robot), ElasticModel(robot)
+    frequencies = viewer.modes(model, 2)
+    found = natural_modes(model, robot.home, count=2)
+    np.testing.assert_array_equal(frequencies, found.frequencies)
+    joint = robot.model.frames[robot.tool_frame_id].parentJoint
+    name, tree = robot.model.names[joint], model.mechanism.model
+    step, places = 1e-7, []
+    for sign in (-1.0, 1.0):
+        data = tree.createData()
+        q = pin.integrate(tree, np.array(found.configuration.q), sign * step * found.shapes[:, 1])
+        pin.forwardKinematics(tree, data, q)
+        places.append(data.oMi[tree.getJointId(name)])
+    shift = (places[1].translation - places[0].translation) / (2.0 * step)
+    turn = pin.log3(places[1].rotation @ places[0].rotation.T) / (2.0 * step)
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    entries = page.ask("pm3dof.panel().legend.filter(({ live }) => live && live.kind === 'mode')")
+    assert [entry["title"] for entry in entries] == ["Mode 1", "Mode 2"]
+    assert entries[0]["values"] == "162.6 Hz"
+    drawn = np.array(entries[1]["live"]["twists"][joint])
+    np.testing.assert_allclose(
+        drawn / np.linalg.norm(drawn), np.append(shift, turn) / np.hypot(*map(np.linalg.norm, (shift, turn))), atol=1e-6
+    )
+    mode = "pm3dof.modeAt(pm3dof.panel().legend.find(({ key }) => key === 'mode2'), 0.5)"
+    after = np.array(page.ask(f"{mode}.placement({joint})")).reshape(4, 4).T
+    before = np.array(page.ask(f"pm3dof.pose().placement({joint})")).reshape(4, 4).T
+    np.testing.assert_allclose(after[:3, 3] - before[:3, 3], 0.5 * drawn[:3], atol=1e-12)
+    np.testing.assert_allclose(after[:3, :3] @ before[:3, :3].T, pin.exp3(0.5 * drawn[3:]), atol=1e-9)
+    ghost = "pm3dof.node('/mode1').object.children.map(({ matrix }) => [...matrix.elements])"
+    one, other = (page.ask(f"new Promise((done) => setTimeout(() => done({ghost}), {wait}))") for wait in (100, 500))
+    assert np.abs(np.array(one) - np.array(other)).max() > 1e-3
+    page.ask("pm3dof.slide(0, 5)")
+    assert page.ask("pm3dof.panel().legend.find(({ key }) => key === 'mode1').stale")
+    assert page.browser.errors == []
 
 
 @pytest.mark.parametrize("wrench", [np.zeros(6), [1.0, 0.0], [np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]])

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable
+from itertools import combinations
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,3 +58,24 @@ def test_labels_are_drawn_on_bodies(load: Callable[[str], Robot], name: str) -> 
         assert {kind for _, kind in drawn} == {"Sprite"}
         assert all("/labels/" in path for path, _ in drawn)
         assert len({path.partition("/labels/")[0] for path, _ in drawn}) > 1  # several bodies
+
+
+PLACES = """(() => {
+    const entry = pm3dof.panel().legend.find(({ key }) => key === "labels"), at = new MeshCat.THREE.Vector3();
+    return entry.nodes.map((path) => pm3dof.node(path).object).filter(({ visible }) => visible).map((object) =>
+        pm3dof.project(pm3dof.viewer.scene.worldToLocal(object.getWorldPosition(at)).toArray()));
+})()"""
+
+
+@pytest.mark.browser
+def test_a_name_behind_another_is_hidden(page: Any, load: Callable[[str], Robot], tmp_path: Path) -> None:
+    """Seen from the front, two of the hexapod's base joints are behind two of its platform's."""
+    with Viewer(load("hexapod")) as viewer:
+        viewer.labels()
+        page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    shown = np.array(page.ask(PLACES))
+    assert 8 <= len(shown) < 14  # six and six joints, and the frames of base and tool
+    assert min(np.abs(a - b).max() for a, b in combinations(shown, 2)) > 6.0
+    page.ask("pm3dof.turn(90), pm3dof.viewer.render()")
+    assert not np.array_equal(page.ask(PLACES), shown)
+    assert page.browser.errors == []

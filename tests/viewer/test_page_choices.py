@@ -211,6 +211,31 @@ def test_a_path_is_gone_to_and_plotted(shown: Any, hexapod: Robot) -> None:
         assert shown.ask("document.querySelectorAll('#path .line').length") > 0, title
 
 
+def test_a_path_shows_its_limits_and_deflection(page: Any, hexapod: Robot, tmp_path: Path) -> None:
+    """The line is red from the frame at which a limit breaks; deflections are drawn beside it, enlarged as it says."""
+    path = hexapod.solve(hexapod.home_coordinates + np.outer(np.linspace(0.0, 0.04, 9), np.eye(6)[2]))
+    within = path.within_limits
+    assert within[0]
+    assert not within[-1]
+    bent = np.linspace([0.0, 0.0, 0.0], [2e-6, 0.0, 0.0], 9)
+    viewer = Viewer(hexapod)
+    viewer.play(list(path), deflections=bent, duration=2.0)
+    page.open_again(viewer.save_html(tmp_path / "path.html").as_uri())
+    frames = page.ask("pm3dof.panel().path.frames.map(({ within }) => within)")
+    assert frames == within.tolist()
+    read = "(k, name) => Array.from(pm3dof.node('/trace/line').object.children[k].geometry.attributes[name].array)"
+    line, colours, moved = (
+        np.reshape(page.call(read, *which), (-1, 3)) for which in ((0, "position"), (0, "color"), (1, "position"))
+    )
+    is_red = colours[:, 0] > colours[:, 2]
+    nearest = np.abs(line[:, None, 2] - path.positions[:, 2]).argmin(axis=1)
+    np.testing.assert_array_equal(is_red, ~within[nearest])
+    (text,) = page.ask("pm3dof.panel().legend.filter(({ key }) => key === 'trace').map(({ lines }) => lines[1])")
+    enlarged = float(text.partition("deflected, ")[2].partition(" times")[0])
+    tip = moved[-9:].mean(axis=0)  # the last ring, the first point of which is its last too
+    np.testing.assert_allclose(tip, path.positions[-1] + enlarged * bent[-1], atol=0.1 * enlarged * 2e-6)
+
+
 def test_a_path_has_its_line_axes_and_ellipsoids(shown: Any, hexapod: Robot) -> None:
     """The line passes the tool at every frame; the plot's ticks are in the unit that stands beside them."""
     vertices = shown.ask("Array.from(pm3dof.node('/trace/line').object.children[0].geometry.attributes.position.array)")

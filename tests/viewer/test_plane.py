@@ -9,7 +9,7 @@ import pytest
 
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer.ellipsoids import block
-from pm3dof_pin.viewer.labels import display_label, display_name
+from pm3dof_pin.viewer.labels import display_label, display_name, display_title
 from pm3dof_pin.viewer.plane import SPATIAL, MotionSpace
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -66,6 +66,14 @@ def test_names_of_robots(name: str, shown: str) -> None:
     assert display_name(name) == shown
 
 
+def test_a_programs_name_is_no_title(tmp_path: Path) -> None:
+    (tmp_path / "urdf").mkdir()
+    for folder in ("", "urdf"):
+        path = tmp_path / folder / "robot.urdf"
+        path.write_text('<robot name="onshape"><link name="base"/></robot>', encoding="utf-8")
+        assert display_title(Robot.load(path)) == display_name(tmp_path.name)
+
+
 @pytest.mark.parametrize(
     ("name", "shown"),
     [
@@ -74,6 +82,7 @@ def test_names_of_robots(name: str, shown: str) -> None:
         ("rz", "turn about z"),
         ("z_e", "z_e"),
         ("left_hip_joint", "left hip"),
+        ("wrist_1_joint", "wrist 1"),
         ("x", "x"),
     ],
 )

@@ -20,8 +20,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pm3dof_pin.capability.tool_capability import tool_capability
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.viewer.polytopes import tool_polytope
 
 COMMAND = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "view"]
 
@@ -189,7 +191,8 @@ def test_a_planar_mechanism_has_an_ellipse(run: Run, tmp_path: Path) -> None:
 
 
 def test_the_page_it_writes(run: Run, page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path) -> None:
-    options = ["--shares", "z", "--frames", "--workspace", "felt_stiffness:z", "--of", "compliance", "--html"]
+    options = ["--shares", "z", "--frames", "--workspace", "felt_stiffness:z", "--of", "compliance"]
+    options += ["--effort", "300", "--html"]
     result = run("10", "-15", "0.5", *options, "page.html", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     page.open((tmp_path / "page.html").as_uri())
@@ -200,12 +203,23 @@ def test_the_page_it_writes(run: Run, page: Any, mechanism: Robot, tripod: Tripo
     assert dict(keys) == {
         "translation": True,
         "rotation": True,
+        "force_translation_polytope": True,
+        "speed_translation_polytope": True,
         "forces": True,
         "load": True,
         "legs": True,
         "frames": False,
         "workspace": False,
     }
+    page.ask("pm3dof.slide(2, 0.52)")
+    moved = mechanism.solve([np.radians(10.0), np.radians(-15.0), 0.52]).configuration()
+    expected = tool_polytope(tool_capability(mechanism, moved, effort=300.0), "force", "translation")
+    entry = page.ask("pm3dof.panel().legend.find(({ live }) => live && live.of === 'force').live")
+    edges = "pm3dof.node('/polytopes/force_translation/edges/<object>').object.geometry"
+    drawn = np.reshape(page.ask(f"[...{edges}.attributes.position.array]"), (-1, 3)) / entry["scale"]
+    assert np.linalg.norm(drawn, axis=1).max() == pytest.approx(expected.greatest, rel=1e-4)
+    shown = page.ask("pm3dof.panel().legend.filter(({ key }) => key.endsWith('polytope')).map(pm3dof.isShown)")
+    assert shown == [True, False]  # the speeds' limits are only described
     assert page.browser.errors == []
 
 

@@ -1,16 +1,20 @@
-// Near a singular pose: the motion that becomes free, or is lost, as a swinging ghost of the machine.
+// Swinging ghosts of the machine: near a singular pose the motion that becomes free, or is lost; and natural modes.
 "use strict";
 
 hasWebGL && (() => {
-  const { viewer, Ghost, on } = pm3dof;
+  const { viewer, Ghost, on, isShown } = pm3dof;
+  const { THREE } = MeshCat;
   const PATH = "/free_motion", COLOUR = 0x2a52ff, OPACITY = 0.3;
+  const SAME = 1e-9; // pose, in joint positions
   const STEP = 1e-4; // of a number, for derivatives [rad, characteristic lengths]
   const SWING = 0.2; // greatest change of a joint [rad, characteristic lengths]
   const FRAMES = 6; // on either side of the pose
   const PERIOD = 2400; // [ms]
   const PAUSE = 150; // after the last move [ms]
   const NEGLIGIBLE = 1e-14; // of the greatest squared motion
-  let ghost = null, frames = [], waiting = null, poseOf = null;
+  const modes = new Map(); // ghosts, by entry
+  const calm = matchMedia("(prefers-reduced-motion: reduce)");
+  let ghost = null, frames = [], waiting = null, poseOf = null, running = false;
 
   const transposed = (rows) => rows[0].map((_, k) => rows.map((row) => row[k]));
   const gram = (columns) => columns.map((a) => columns.map((b) => a.reduce((sum, entry, i) => sum + entry * b[i], 0)));
@@ -83,10 +87,7 @@ hasWebGL && (() => {
     poseOf = pose;
     ghost = new Ghost(PATH, robot.data.bodies.filter(({ joint }) => joint), COLOUR, OPACITY);
     ghost.visible = true;
-    const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (still) ghost.place(frames[frames.length - 1]);
-    else requestAnimationFrame(animate);
-    viewer.set_dirty();
+    animate(0);
   }
 
   function stop() {
@@ -96,12 +97,52 @@ hasWebGL && (() => {
     viewer.set_dirty();
   }
 
+  // ------------------------------------------------------------------------------------- natural modes
+
+  const swingingModes = () => [...modes].filter(([entry]) => !entry.stale && isShown(entry));
+
+  // Bodies a part of the way along their twists [v; w] at their joints, world axes; linear, as modes are.
+  function displaced(pose, twists, part) {
+    return {
+      placement(joint) {
+        const own = new THREE.Matrix4().fromArray(pose.placement(joint)), at = new THREE.Vector3().setFromMatrixPosition(own);
+        const [shift, turn] = [0, 3].map((k) => new THREE.Vector3(...twists[joint].slice(k, k + 3)).multiplyScalar(part));
+        const angle = turn.length(), moved = new THREE.Matrix4();
+        if (angle) moved.makeRotationAxis(turn.divideScalar(angle), angle);
+        return own.setPosition(0, 0, 0).premultiply(moved).setPosition(at.add(shift)).toArray();
+      },
+    };
+  }
+
+  function followMode(entry) {
+    const { q, values } = entry.live, pose = pm3dof.pose();
+    if (q.some((number, k) => Math.abs(number - pose.q[k]) > SAME)) throw "of another pose: hidden";
+    pm3dof.setValues(entry, values);
+    if (modes.has(entry)) modes.get(entry).place(displaced(pose, entry.live.twists, 1));
+    animate(0);
+  }
+
+  function buildModes() {
+    const robot = pm3dof.robot();
+    modes.clear();
+    if (!robot) return;
+    pm3dof.panel().legend.filter(({ live }) => live && live.kind === "mode").forEach((entry) => {
+      modes.set(entry, new Ghost(entry.nodes[0], robot.data.bodies.filter(({ joint }) => joint), COLOUR, OPACITY));
+      pm3dof.update(entry);
+    });
+  }
+
+  // -------------------------------------------------------------------------------------
+
   function animate(now) {
-    if (!ghost || pm3dof.pose() !== poseOf) return;
-    const place = 0.5 - 0.5 * Math.cos(2 * Math.PI * now / PERIOD);
-    ghost.place(frames[Math.round(place * (frames.length - 1))]);
+    if (running && !now) return; // asked for while it runs
+    const free = ghost && pm3dof.pose() === poseOf, shown = swingingModes();
+    running = Boolean(free || shown.length) && !calm.matches;
+    const phase = running ? 2 * Math.PI * now / PERIOD : Math.PI / 2;
+    if (free) ghost.place(frames[Math.round((calm.matches ? 1 : 0.5 - 0.5 * Math.cos(phase)) * (frames.length - 1))]);
+    shown.forEach(([entry, swinging]) => swinging.place(displaced(pm3dof.pose(), entry.live.twists, Math.sin(phase))));
     viewer.set_dirty();
-    requestAnimationFrame(animate);
+    if (running) requestAnimationFrame(animate);
   }
 
   function later() {
@@ -110,7 +151,10 @@ hasWebGL && (() => {
     waiting = setTimeout(look, PAUSE);
   }
 
+  pm3dof.followers.mode = followMode;
   on("pose", later);
   on("panel", later);
-  Object.assign(pm3dof, { freeMotion: () => frames });
+  on("panel", buildModes);
+  on("entries", () => animate(0));
+  Object.assign(pm3dof, { freeMotion: () => frames, modeAt: (entry, part) => displaced(pm3dof.pose(), entry.live.twists, part) });
 })();

@@ -12,6 +12,7 @@ const hasWebGL = (() => {
 const pm3dof = hasWebGL && (() => {
   document.body.classList.add("drawn"); // no picture in its place
   const viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
+  const { fixed } = Robot;
   const NEAR_SINGULAR = 5; // ratio to the motion at home, or its inverse
   const FIELD_OF_VIEW = 30; // degrees; little perspective, as in a technical drawing
   const STOPPED = 0x9b0000; // glow of bodies at a limit
@@ -25,6 +26,7 @@ const pm3dof = hasWebGL && (() => {
   let slidersShown = ""; // the existing ones
   let tidied = false;
   let cameraSerial = null;
+  let framedFrom = null; // position of the camera
   const listeners = { panel: [], pose: [], entries: [], choice: [], picture: [] };
 
   // Callbacks of the other parts of the page for a new panel, pose, set of visible entries, option or picture.
@@ -33,17 +35,20 @@ const pm3dof = hasWebGL && (() => {
 
   // ----------------------------------------------------------------------------------------------- pane
 
-  // Width and height of the picture, and how much of its left is behind the panel [pixels]; zero on a phone.
+  // Width and height of the picture, and how much of its left and top is behind the panel, zero on a phone, and the
+  // buttons [pixels].
   function pane() {
     const { clientWidth: width, clientHeight: height } = document.getElementById("meshcat-pane");
-    return { width, height, behind: height < window.innerHeight || document.body.classList.contains("bare") ? 0 : Math.min(0.5 * width, 314) };
+    const bare = document.body.classList.contains("bare"), above = bare ? 0 : document.getElementById("tools").offsetHeight + 8;
+    return { width, height, above, behind: bare || height < window.innerHeight ? 0 : Math.min(0.5 * width, 314) };
   }
 
   const setSize = viewer.set_3d_pane_size.bind(viewer);
   viewer.set_3d_pane_size = () => {
-    const { width, height, behind } = pane();
-    viewer.camera.setViewOffset(width, height, -0.5 * behind, 0, width, height); // centred in the free part
+    const { width, height, behind, above } = pane(), framed = isFramed();
+    viewer.camera.setViewOffset(width, height, -0.5 * behind, -0.5 * above, width, height); // centred in the free part
     setSize(width, height);
+    if (framed) reframe();
   };
 
   const render = viewer.render.bind(viewer);
@@ -91,8 +96,8 @@ const pm3dof = hasWebGL && (() => {
     const up = [-Math.sin(e) * Math.cos(a), -Math.sin(e) * Math.sin(a), Math.cos(e)];
     const along = (p, direction) => p[0] * direction[0] + p[1] * direction[1] + p[2] * direction[2];
     const target = low.map((entry, index) => 0.5 * (entry + high[index]));
-    const { width, height, behind } = pane();
-    const half = Math.tan(FIELD_OF_VIEW * Math.PI / 360), aspect = (width - behind) / height;
+    const { width, height, behind, above } = pane();
+    const half = Math.tan(FIELD_OF_VIEW * Math.PI / 360) * (1 - above / height), aspect = (width - behind) / (height - above);
     // the distance at which a point is just inside part of the picture
     const distanceOf = (point, across, upwards) => {
       const p = point.map((entry, index) => entry - target[index]);
@@ -112,7 +117,18 @@ const pm3dof = hasWebGL && (() => {
     camera.far = 60 * radius;
     camera.position.set(eye[0], eye[2], -eye[1]);
     viewer.controls.target.set(target[0], target[2], -target[1]);
+    framedFrom = camera.position.toArray();
     viewer.set_dirty();
+  }
+
+  // Whether the camera is where the machine was framed from, and not where the user moved it.
+  function isFramed() {
+    return framedFrom !== null && viewer.camera.position.toArray().every((entry, k) => Math.abs(entry - framedFrom[k]) < 1e-6 * Math.hypot(...framedFrom));
+  }
+
+  function reframe() {
+    cameraSerial = null;
+    if (panel.camera) frame(panel.camera);
   }
 
   // Only the machine, on white, in the whole window: for animations.
@@ -121,8 +137,7 @@ const pm3dof = hasWebGL && (() => {
     viewer.hide_background();
     node("/floor").object.visible = false;
     viewer.set_3d_pane_size();
-    cameraSerial = null;
-    if (panel.camera) frame(panel.camera);
+    reframe();
   }
 
   // Turn the camera about the vertical through its target [deg].
@@ -158,9 +173,6 @@ const pm3dof = hasWebGL && (() => {
     return shared ? parts.map(([text]) => text).join(" \u00b7 ") + parts[0][1] : parts.map((part) => part.join("")).join(" \u00b7 ");
   }
 
-  // Write zero without a sign.
-  const fixed = (number, digits) => number.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
-
   const untorn = (text) => text.replaceAll("N m", "N\u00a0m");
 
   function element(parent, tag, name, text) {
@@ -189,6 +201,7 @@ const pm3dof = hasWebGL && (() => {
         element(roles, "span", "", role);
       });
     }
+    (data.lacks || []).forEach((line) => element(legend, "p", "lack", line));
     if (data.camera) frame(data.camera);
     robot = data.machine && programs ? new Robot(data.machine, programs) : null;
     pose = robot ? robot.pose(data.q) : null;
@@ -350,6 +363,10 @@ const pm3dof = hasWebGL && (() => {
 
   // Bring one number of a set, by default the active one, to a value [m, rad].
   function slide(index, value, set = robot.data.sets[activeSet]) {
+    if (panel.immobile) {
+      setSliders();
+      return showNote(["The machine cannot leave this pose."], [panel.immobile]);
+    }
     const start = pose.residual < 1e-6 ? pose : robot.home(); // not from open loops
     const wanted = start.values(set);
     wanted[index] = value;
@@ -398,10 +415,11 @@ const pm3dof = hasWebGL && (() => {
     });
     showStopped();
     followAll();
-    const lines = robot.data.sets.map((set) => {
+    const readings = robot.data.sets.map((set) => {
       const values = pose.values(set);
-      return set.numbers.map((number, index) => reading(number, values[index])).join(", ");
+      return set.numbers.map((number, index) => reading(number, values[index]));
     });
+    const lines = readings.filter((each) => each.join("").length <= robot.data.long_reading).map((each) => each.join(", "));
     if (robot.data.has_closures) lines.push(`loops closed to ${pose.residual ? pose.residual.toExponential(0) : 0} m, in this page`);
     showNote(lines, [...outsideLimits(pose.brokenLimits()), ...singular(pose)]);
     tell("pose");
@@ -562,11 +580,10 @@ const pm3dof = hasWebGL && (() => {
   const state = { pose: () => pose, robot: () => robot, panel: () => panel, set: () => robot.data.sets[activeSet] };
   // The whole machine from the first direction, at home.
   function reset() {
-    cameraSerial = null;
     if (robot) home();
-    if (panel.camera) frame(panel.camera);
+    reframe();
   }
 
   const drawing = { viewer, reset, blend, node, placeNode, pane, turn, bare, element, engineering, scientific, fixed, isShown, setValues, showNote };
-  return { ...drawing, ...state, on, tell, flip, update: follow, followers, nearSingular, slide, chooseSet, home, showAssemblies, show, setPose, followAll, lineOf, receive, start };
+  return { ...drawing, ...state, on, tell, flip, update: follow, followers, fittingScale, nearSingular, slide, chooseSet, home, showAssemblies, show, setPose, followAll, lineOf, receive, start };
 })();

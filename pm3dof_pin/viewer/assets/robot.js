@@ -24,6 +24,9 @@ const Robot = (() => {
   const norm = (a) => Math.sqrt(dot(a, a));
   const apply = (matrix, a) => matrix.map((row) => dot(row, a));
 
+  // Write zero without a sign.
+  const fixed = (number, digits) => number.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
+
   // Inverse of a symmetric positive definite matrix, by Gauss-Jordan after scaling to a unit diagonal, since units are
   // mixed; NaN if it is singular, as the compliance of a wrist.
   function inverse(matrix) {
@@ -173,11 +176,11 @@ const Robot = (() => {
       ];
     }
 
-    // Joints of bodies that are at or beyond a limit.
+    // Joints of bodies that are at or beyond a limit; a swing of zero is none.
     stoppedJoints() {
-      const inside = ([{ lower, upper }, value]) => {
-        const room = AT_LIMIT * (upper - lower);
-        return lower === upper || (lower + (lower ? room : 0) < value && value < upper - room);
+      const inside = ([{ index, lower, upper }, value]) => {
+        const room = AT_LIMIT * (upper - lower), isSwing = index === undefined;
+        return lower === upper || ((isSwing || lower + room < value) && value < upper - room);
       };
       return new Set(this.limitReadings().filter((reading) => !inside(reading)).map(([{ joint }]) => joint));
     }
@@ -187,7 +190,7 @@ const Robot = (() => {
       return this.limitReadings()
         .filter(([{ lower, upper }, value]) => !(lower - 1e-9 <= value && value <= upper + 1e-9))
         .map(([{ name, unit, factor, offset, digits, lower, upper }, value]) => {
-          const shown = (number) => (factor * number + offset).toFixed(digits);
+          const shown = (number) => fixed(factor * number + offset, digits);
           const ends = factor < 0 ? [upper, lower] : [lower, upper];
           return `${name} at ${shown(value)} ${unit}, outside ${ends.map(shown).join(" .. ")} ${unit}`;
         });
@@ -417,5 +420,5 @@ const Robot = (() => {
     }
   }
 
-  return Object.assign(Robot, { apply, eigen, principal, inverse, product, stretched, turnZTo });
+  return Object.assign(Robot, { apply, eigen, fixed, principal, inverse, product, stretched, turnZTo });
 })();

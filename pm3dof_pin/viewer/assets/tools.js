@@ -64,5 +64,5 @@ hasWebGL && (() => {
   [["reset", reset], ["picture", picture], ["link", link]].forEach(([id, action]) => {
     document.getElementById(id).addEventListener("click", action);
   });
-  Object.assign(pm3dof, { takePicture: picture, record, copyLink: link });
+  Object.assign(pm3dof, { takePicture: picture });
 })();

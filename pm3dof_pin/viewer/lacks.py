@@ -1,0 +1,33 @@
+"""What a robot's description lacks of what the page could show, in one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pm3dof_pin.elastic.springs import Spring
+from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.kinematics.branches import start_of
+from pm3dof_pin.kinematics.robot import Robot
+
+
+def lacks_of(robot: Robot, springs: Sequence[Spring] | None = None) -> list[str]:
+    """Return why a page has no sliders, or no stiffness; empty if it has both. Springs are by default the described."""
+    said = []
+    if not robot.coordinates:
+        said.append(f"{robot.name} has no drives (--drives JOINT,..) in its description: there are no sliders")
+    missing = [] if (robot.springs if springs is None else springs) else ["springs (--drive-stiffness)"]
+    missing += [] if robot.tool_frame is not None else ["tool frame (--tool-frame)"]
+    if missing:
+        what = " and no ".join(missing)
+        said.append(f"{robot.name} has no {what} in its description: stiffness ellipsoids are not drawn")
+    return said
+
+
+def immobile(robot: Robot) -> str | None:
+    """Return why sliders cannot move a robot from home; None if they can."""
+    try:
+        if robot.closures and robot.coordinates:
+            start_of(robot)
+    except PM3DofError as error:
+        return str(error)
+    return None
