@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -32,6 +33,11 @@ exclude_patterns = ["_build", "extensions", "notebooks"]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
+
+# cards on other sites need the picture's whole address, which is known where the documentation is hosted
+html_baseurl = os.environ.get("READTHEDOCS_CANONICAL_URL", "")
+if html_baseurl:
+    myst_html_meta = {"property=og:image": f"{html_baseurl.rstrip('/')}/_static/social_card.png"}
 
 html_math_renderer = "mathml"
 html_theme = "furo"

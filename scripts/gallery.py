@@ -66,6 +66,12 @@ def main(folder: Path = RESULTS) -> None:
             viewer.colour_legs(model, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
             print(viewer.save_picture(folder / f"viewer_{robot}.png", **SIZE))
 
+    with Viewer(Robot.load("hexapod")) as viewer:
+        draw_ellipsoids(viewer, ElasticModel(viewer.mechanism), "stiffness")
+        viewer.capability_polytope("force", effort=500.0)
+        viewer.capability_polytope("speed", speed=0.1)
+        print(viewer.save_picture(folder / "viewer_capability.png", **SIZE))
+
     print(social_card(folder))
 
     if find_spec("example_robot_data") is None:

@@ -219,6 +219,24 @@ def mechanism() -> Robot:
 
 
 @pytest.fixture(scope="session")
+def rigid_in_shear() -> Callable[..., Robot]:
+    """Give a tripod the chapter's passive leg, a beam that does not shear, and other keys of its spring."""
+
+    def changed(robot: Robot, **keys: Any) -> Robot:
+        own = {"shear_stiffness": "rigid"} | keys
+        springs = [dict(entry) | (own if entry["name"] == "passive_leg" else {}) for entry in robot.springs]
+        return robot.replace(springs=springs)
+
+    return changed
+
+
+@pytest.fixture(scope="session")
+def slender(mechanism: Robot, rigid_in_shear: Callable[..., Robot]) -> Robot:
+    """The chapter's machine as the chapter models it: its passive leg does not shear."""
+    return rigid_in_shear(mechanism)
+
+
+@pytest.fixture(scope="session")
 def tripod_workspace(tripod: Tripod) -> Workspace:
     """The whole reachable set of the chapter's machine, 61 sections of 90 rays."""
     from pm3dof_pin.maps.chapter_workspace import tripod_space

@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 import pm3dof_pin
-from pm3dof_pin.cli.command import RepeatableCommand, with_groups
+from pm3dof_pin.cli.command import PlainWords, RepeatableCommand, with_groups
 from pm3dof_pin.description.expand import trust_xacro as allow_xacro
 from pm3dof_pin.exceptions import PM3DofError
 
@@ -71,7 +71,7 @@ _WITH_POSE = {
 }
 
 
-class _Commands(TyperGroup):
+class _Commands(PlainWords, TyperGroup):
     """The subcommands; the module of one is imported when it is run, or its options are asked for."""
 
     def list_commands(self, ctx: Any) -> list[str]:

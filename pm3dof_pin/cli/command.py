@@ -4,18 +4,74 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 from collections import deque
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from typing import Any, get_type_hints
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from typer.core import TyperCommand
 
-NUMBER_OF_VALUES = {"--range": 4, "--over": 4, "--at": 2, "--wrench": 6, "--centre": 3}
+NUMBER_OF_VALUES = {"--range": 4, "--over": 4, "--at": 2, "--wrench": 6, "--twist": 6, "--centre": 3}
 """Number of values of each such option."""
 
 
-class RepeatableCommand(TyperCommand):
+class _Words:
+    """Conversion of a parameter's words by its type. What fails is left to Typer, which explains it.
+
+    Typer's own conversion is by pydantic in later versions, whose import takes a third of the time of a short command.
+    """
+
+    def __init__(self, parameter: Any) -> None:
+        self._parameter = parameter
+        descriptor = parameter.type_descriptor
+        self._type, self._info = descriptor.annotation, descriptor.parameter_info
+
+    def coerce(self, value: Any, **context: Any) -> Any:
+        """Return the value of the parameter for its words; None, or no values, if it was not given."""
+        if value is None:
+            return () if self._parameter.multiple or self._parameter.nargs == -1 else None
+        try:
+            return self._converted(value, self._type)
+        except Exception:  # a parser's own errors too: Typer runs it again and words them
+            self._parameter._runtime_param = None
+            return type(self._parameter).get_runtime_param(self._parameter).coerce(value, **context)
+
+    def _converted(self, value: Any, kind: Any) -> Any:
+        if get_origin(kind) is list:
+            return [self._converted(item, get_args(kind)[0]) for item in value]
+        if get_origin(kind) is tuple:
+            return tuple(self._converted(item, one) for item, one in zip(value, get_args(kind), strict=True))
+        if self._info.parser is not None:
+            return self._info.parser(value)
+        if get_origin(kind) is Literal and value in get_args(kind):
+            return value
+        if kind in (int, float):
+            number = kind(value)
+            low, high = self._info.min, self._info.max
+            if (low is None or number >= low) and (high is None or number <= high):
+                return number
+        if kind in (bool, str) and isinstance(value, kind):
+            return value
+        if kind is Path and not self._info.exists and (not Path(value).exists() or os.access(value, os.R_OK)):
+            return Path(value)
+        raise ValueError(value)
+
+
+class PlainWords:
+    """A command whose parameters convert their words without pydantic."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return all parameters, the help's included."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for parameter in parameters:
+            if hasattr(parameter, "_runtime_param"):
+                parameter._runtime_param = parameter._runtime_param or _Words(parameter)
+        return parameters
+
+
+class RepeatableCommand(PlainWords, TyperCommand):
     """A command with repeatable options of several values, which Typer does not support."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

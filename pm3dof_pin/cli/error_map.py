@@ -249,16 +249,16 @@ def _lines(result: dict[str, Any], place: str) -> list[str]:
         "energy_m": "energy E (8.15), mean",
     }
     rows = [
-        [text, *(f"{1e6 * result[kind][name]:.1f}" for kind in ("least", "mean", "greatest"))]
+        [text, *(f"{1e6 * result[kind][name]:z.1f}" for kind in ("least", "mean", "greatest"))]
         for name, text in words.items()
     ]
     critical = [
         [
             share["name"],
             share["group"],
-            f"{1e6 * share['tip_rms_m']:.1f}",
-            f"{share['share']:.1%}",
-            f"{share['uncompensable_share']:.1%}",
+            f"{1e6 * share['tip_rms_m']:z.1f}",
+            f"{share['share']:z.1%}",
+            f"{share['uncompensable_share']:z.1%}",
         ]
         for share in result["ranking"][:_SHOWN]
     ]
@@ -281,11 +281,14 @@ def _allocation_lines(allocation: dict[str, Any]) -> list[str]:
     rows = [
         [
             name,
-            *("any" if math.isinf(allocation[kind][name]) else f"{1e6 * allocation[kind][name]:.1f}" for kind in kinds),
+            *(
+                "any" if math.isinf(allocation[kind][name]) else f"{1e6 * allocation[kind][name]:z.1f}"
+                for kind in kinds
+            ),
         ]
         for name in allocation[kinds[0]]
     ]
-    covered = "rms" if allocation["coverage"] == "rms" else f"{allocation['coverage']:.0%} of machines"
+    covered = "rms" if allocation["coverage"] == "rms" else f"{allocation['coverage']:z.0%} of machines"
     header = [
         f"for {1e6 * allocation['target_m']:g} µm, {covered} [µm, µrad]",
         "equal parts",
@@ -348,8 +351,8 @@ def _budget_lines(result: dict[str, Any]) -> list[str]:
     rows, last = [], ""
     for line in result["budget"]:
         group = _CLASSES[line["error_class"]]
-        numbers = [f"{1e6 * line[name]:.2f}" for name in columns]
-        rows.append([group if group != last else "", line["long_name"], *numbers, f"{line['share']:.1%}"])
+        numbers = [f"{1e6 * line[name]:z.2f}" for name in columns]
+        rows.append([group if group != last else "", line["long_name"], *numbers, f"{line['share']:z.1%}"])
         last = group
     header = ["Table 8.4", "source [µm]", "tip, rms", "worst pose", "bound", "left", "E", "share"]
     least, ends = result["least_sensitive"], result["least_sensitive"]["least_median_greatest"]
@@ -360,7 +363,7 @@ def _budget_lines(result: dict[str, Any]) -> list[str]:
         medians.append(value_in_words(name, unit, median, ".4f" if unit == "m" else ".1f"))
     lines = table_lines(header, rows, words=2)
     lines.append(
-        f"least sensitive fifth: {1e6 * tip['least']:.1f} to {1e6 * tip['most']:.1f} µm, elsewhere up to "
-        f"{1e6 * tip['elsewhere']:.1f} µm; medians: {', '.join(medians)}"
+        f"least sensitive fifth: {1e6 * tip['least']:z.1f} to {1e6 * tip['most']:z.1f} µm, elsewhere up to "
+        f"{1e6 * tip['elsewhere']:z.1f} µm; medians: {', '.join(medians)}"
     )
     return lines

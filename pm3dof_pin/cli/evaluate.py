@@ -145,20 +145,20 @@ def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
 
     def place(values: dict[str, float]) -> str:
         shown = ((c, values[c.name]) for c in moving)
-        return " ".join(f"{math.degrees(v) + 0.0:.1f}" if c.unit == "rad" else f"{v + 0.0:.4f}" for c, v in shown)
+        return " ".join(f"{math.degrees(v):z.1f}" if c.unit == "rad" else f"{v:z.4f}" for c, v in shown)
 
     rows = [
         [
             entry.label,
             f"{entry.mean:.4e}",
-            f"{entry.standard_deviation / abs(entry.mean):.1%}" if entry.mean else "",
+            f"{entry.standard_deviation / abs(entry.mean):z.1%}" if entry.mean else "",
             *(f"{entry.least:.4e}", place(entry.least_at), f"{entry.greatest:.4e}", place(entry.greatest_at)),
             entry.unit,
         ]
         for entry in found.distributions
     ]
     lines = [
-        f"over {names}: {grid.size:,} poses, {found.reachable:.1%} of the volume within every limit",
+        f"over {names}: {grid.size:,} poses, {found.reachable:z.1%} of the volume within every limit",
         "",
         *table_lines(["quantity", "mean", "spread", "least", "at", "greatest", "at", "unit"], rows),
     ]
@@ -177,9 +177,9 @@ def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
             *table_lines(
                 header,
                 [
-                    [rank.axis, rank.spring, f"{rank.governs_part:.1%}"]
-                    + [f"{value:.1%}" for value in (rank.mean_share, rank.least_share, rank.greatest_share)]
-                    + [f"+{rank.gain_of_10_percent_at_least:.2%}"]
+                    [rank.axis, rank.spring, f"{rank.governs_part:z.1%}"]
+                    + [f"{value:z.1%}" for value in (rank.mean_share, rank.least_share, rank.greatest_share)]
+                    + [f"+{rank.gain_of_10_percent_at_least:z.2%}"]
                     for rank in printed
                 ],
             ),

@@ -380,19 +380,19 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
     if result["mobility_at_home"] != result["mobility"]:
         lines.append(f"mobility {result['mobility_at_home']} at home, a singular pose: the counts are those near it")
         if result["rank_gap"] is not None and result["rank_gap"] < RANK_GAP:
-            lines[-1] += f", a borderline count: singular values fall by {result['rank_gap']:.0f} only"
+            lines[-1] += f", a borderline count: singular values fall by {result['rank_gap']:z.0f} only"
     lines += _reach_line(result, robot)
     lines += singularity_line(result["singularity_distances"])
     if result["tool_frame"] is not None:
         x, y, z = (round(value, 6) + 0.0 for value in result["home_tool_position_m"])  # no minus sign on zero
-        lines.append(f"tool {result['tool_frame']}, at home x = {x:.6f}, y = {y:.6f}, z = {z:.6f} m")
+        lines.append(f"tool {result['tool_frame']}, at home x = {x:z.6f}, y = {y:z.6f}, z = {z:z.6f} m")
     closures = ", ".join(f"{c['frame_a']}-{c['frame_b']} ({c['type']})" for c in result["closures"])
     couplings = ", ".join(coupling.name for coupling in robot.couplings)
     counted = ", ".join(f"{count} {group}" for group, count in (result["error_parameters"] or {}).items())
     lines += [
         f"closures: {closures or 'none'}, residual at home {result['closure_residual']:.1e}{_imprecision(robot)}",
         *([f"couplings: {couplings}"] if couplings else []),
-        f"moving mass {result['moving_mass_kg']:.4f} kg, {_counted(result['springs'], 'spring')}",
+        f"moving mass {result['moving_mass_kg']:z.4f} kg, {_counted(result['springs'], 'spring')}",
         "many poses: compiled programs"
         if result["engine_reason"] is None
         else f"many poses: Pinocchio, one by one; there is no compiled program: {result['engine_reason']}",

@@ -70,7 +70,7 @@ def _by_joint(found: Modes, velocity: Vector) -> dict[str, Any]:
 def _lines(result: dict[str, Any]) -> list[str]:
     shapes = zip(result["frequency_Hz"], result["tool_twists"], strict=True)
     rows = [
-        [str(mode + 1), f"{frequency:.4f}", *(fixed(entry, 4) for entry in twist)]
+        [str(mode + 1), f"{frequency:z.4f}", *(fixed(entry, 4) for entry in twist)]
         for mode, (frequency, twist) in enumerate(shapes)
     ]
     rows += [["free", "0", *(fixed(entry, 4) for entry in twist)] for twist in result["free_tool_twists"]]

@@ -73,32 +73,41 @@ KnownWrenches = Annotated[
 ]
 
 
-class _WrenchNumbers(NamedTuple):
-    """A wrench given as an option."""
+class _SixNumbers(NamedTuple):
+    """A wrench or a twist given as an option."""
 
-    fx: float
-    fy: float
-    fz: float
-    mx: float
-    my: float
-    mz: float
+    x: float
+    y: float
+    z: float
+    rx: float
+    ry: float
+    rz: float
 
     @classmethod
-    def parse(cls, text: str) -> _WrenchNumbers:
-        """Read FX FY FZ MX MY MZ."""
+    def parse(cls, text: str) -> _SixNumbers:
+        """Read six numbers."""
         numbers = [finite_number(word) for word in text.split()]
         if len(numbers) != NUMBER_OF_VALUES["--wrench"]:
-            raise typer.BadParameter(f"expected FX FY FZ MX MY MZ, not '{text}'")
+            raise typer.BadParameter(f"expected six numbers, along and about x, y, z, not '{text}'")
         return cls(*numbers)
 
 
 AppliedWrenches = Annotated[
-    list[_WrenchNumbers] | None,
+    list[_SixNumbers] | None,
     typer.Option(
         "--wrench",
         metavar="FX FY FZ MX MY MZ",
-        parser=_WrenchNumbers.parse,
+        parser=_SixNumbers.parse,
         help="Wrench of the tool on its environment, at the tool point, base axes [N, N m]; may be repeated.",
+    ),
+]
+Twists = Annotated[
+    list[_SixNumbers] | None,
+    typer.Option(
+        "--twist",
+        metavar="VX VY VZ WX WY WZ",
+        parser=_SixNumbers.parse,
+        help="Twist of the tool, of which the greatest multiple is asked [m/s, rad/s]; may be repeated.",
     ),
 ]
 Config = Annotated[

@@ -45,7 +45,7 @@ def table_lines(header: Sequence[str], rows: Sequence[Sequence[str]], *, words: 
 
 def fixed(number: float, digits: int) -> str:
     """Format a number with this many decimals and no sign on zero."""
-    return f"{round(float(number), digits) + 0.0:.{digits}f}"
+    return f"{number:z.{digits}f}"
 
 
 def stop_on_broken_limits(violations: Sequence[object]) -> None:

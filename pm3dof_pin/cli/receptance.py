@@ -163,7 +163,7 @@ def receptance(
 
 def _servo_lines(limits: Sequence[ServoLimit]) -> list[str]:
     rows = [
-        [limit.drive, f"{limit.critical_gain:.1f}", f"{limit.critical_frequency:.1f}", f"{limit.bandwidth:.1f}"]
+        [limit.drive, f"{limit.critical_gain:z.1f}", f"{limit.critical_frequency:z.1f}", f"{limit.bandwidth:z.1f}"]
         for limit in limits
     ]
     header = ["position loop", "unstable from K_v [1/s]", "at [Hz]", f"bandwidth, margin {GAIN_MARGIN:g} [Hz]"]
@@ -285,7 +285,7 @@ def _lines(results: list[dict[str, Any]]) -> list[str]:
     rows = []
     for entry in results:
         order = np.argsort(-np.abs(entry["mode_shares"]))[:_SHOWN_SHARES]
-        shares = [f"{k + 1}: {100.0 * entry['mode_shares'][k]:.0f} %" for k in order]
+        shares = [f"{k + 1}: {100.0 * entry['mode_shares'][k]:z.0f} %" for k in order]
         static = entry["static_stiffness"]
         rows.append(
             [
@@ -293,7 +293,7 @@ def _lines(results: list[dict[str, Any]]) -> list[str]:
                 "-" if static is None else f"{static:.5g}",
                 f"{entry['dynamic_stiffness_minimum']:.5g}",
                 _inverse_unit(entry["unit"]),
-                f"{entry['critical_frequency_Hz']:.2f}",
+                f"{entry['critical_frequency_Hz']:z.2f}",
                 f"{entry['negative_real_part']:.4g}",
                 entry["unit"],
                 ", ".join(share for share in shares if not share.endswith((" 0 %", "-0 %"))),
@@ -321,13 +321,13 @@ def _lobes_lines(lobes: StabilityLobes) -> list[str]:
     if not np.isfinite(lobes.depth_limit):
         return [f"{kind}: no depth chatters"]
     limit, frequency = 1e3 * lobes.depth_limit, lobes.chatter_frequency
-    lines = [f"{kind}: stable at every speed below {limit:.4g} mm; above, it chatters at {frequency:.1f} Hz"]
+    lines = [f"{kind}: stable at every speed below {limit:.4g} mm; above, it chatters at {frequency:z.1f} Hz"]
     best = int(np.argmax(lobes.depths))
     if np.isfinite(lobes.depths[best]):
-        lines.append(f"deepest at {60.0 * lobes.speeds[best]:.0f} 1/min: {1e3 * lobes.depths[best]:.4g} mm")
+        lines.append(f"deepest at {60.0 * lobes.speeds[best]:z.0f} 1/min: {1e3 * lobes.depths[best]:.4g} mm")
     if lobes.is_stable is not None and lobes.cutting.ap is not None:
         share = 100.0 * float(np.mean(lobes.is_stable))
-        lines.append(f"ap = {1e3 * lobes.cutting.ap:g} mm is stable at {share:.0f} % of the speeds")
+        lines.append(f"ap = {1e3 * lobes.cutting.ap:g} mm is stable at {share:z.0f} % of the speeds")
     return lines
 
 

@@ -124,7 +124,7 @@ def _name_stubby_beams(elastic: ElasticModel, configuration: Configuration) -> N
         if (share := spring.shear_share(length)) >= STUBBY:
             message(
                 f"pm3dof: '{spring.name}' is {1e3 * length:.3g} mm long here and rigid in shear as described; shear "
-                f"would add {100.0 * share:.0f} % to its lateral give (shear_stiffness)"
+                f"would add {100.0 * share:z.0f} % to its lateral give (shear_stiffness)"
             )
 
 
@@ -225,7 +225,7 @@ def _elastic_lines(result: dict[str, Any]) -> list[str]:
     ]
     if "preload" in result:
         forces = ", ".join(f"{name} {force:.6g}" for name, force in result["preload"].items())
-        eigenvalue = f"least eigenvalue {result['least_eigenvalue']:.4f} (unstable below 0)"
+        eigenvalue = f"least eigenvalue {result['least_eigenvalue']:z.4f} (unstable below 0)"
         lines += ["", f"preload [N, N m]: {forces}; {eigenvalue}"]
     if result["K"] is not None:
         lines += ["", *_index_lines(result["indices"])]
@@ -262,5 +262,5 @@ def _index_lines(indices: dict[str, Any]) -> list[str]:
         *table_lines(["", "least", "middle", "greatest"], principal),
         "",
         f"condition number {indices['condition_number']:.3e} at the characteristic length "
-        f"{indices['characteristic_length_m']:.4f} m; trace / 6 = {indices['trace_over_six']:.4e}",
+        f"{indices['characteristic_length_m']:z.4f} m; trace / 6 = {indices['trace_over_six']:.4e}",
     ]

@@ -105,6 +105,15 @@ class Tree:
             columns[3:, k] = self.screws[k].angular
         return columns
 
+    def local_jacobian(self, joint: int) -> Objects:
+        """Return the Jacobian of the body that a joint moves, shape=(6, nv): twist [v; omega] in the joint's axes."""
+        columns = objects(np.zeros((6, len(self.screws))).tolist())
+        place = self.body(joint)
+        for k in self._supports[joint]:
+            columns[:3, k] = self.screws[k].velocity(place.translation) @ place.rotation
+            columns[3:, k] = self.screws[k].angular @ place.rotation
+        return columns
+
     def step(self, velocities: dict[int, Scalar]) -> Objects:
         """Move q along a tangent vector, given by index in v: equal to Pinocchio's `integrate` to first order."""
         moved = self.q.copy()

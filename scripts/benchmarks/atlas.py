@@ -24,14 +24,13 @@ def grid_of(robot: Robot, count: int) -> Grid:
     return robot.grid(**{coordinate.name: (*robot.range_of(coordinate), count) for coordinate in chosen})
 
 
-def measure(robot: Robot, count: int, folder: Path, threads: int | None) -> None:
+def measure(robot: Robot, count: int, path: Path, threads: int | None) -> None:
     """Compute one atlas of the felt stiffness and print its cost."""
-    path = folder / "atlas.zarr"
     shutil.rmtree(path, ignore_errors=True)
     start, cpu = time.perf_counter(), time.process_time()
     compute_atlas(Atlas(robot, grid_of(robot, count), ("felt_stiffness",), path), threads=threads)
     wall, used = time.perf_counter() - start, time.process_time() - cpu
-    size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    size = sum(file.stat().st_size for file in (path, *path.rglob("*")) if file.is_file())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     poses = count**3
     print(
@@ -44,17 +43,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--threads", type=int, help="threads; the number of processors by default")
     parser.add_argument("--most", type=int, default=COUNTS[-1], help="greatest number of values along an axis")
+    parser.add_argument("--format", choices=("nc", "zarr"), default="nc")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=".") as name:
-        folder = Path(name)
+        path = Path(name) / f"atlas.{arguments.format}"
         for robot_name in ROBOTS:
             robot = Robot.load(robot_name)
-            measure(robot, 20, folder, arguments.threads)  # compiles
-            measure(robot, 60, folder, arguments.threads)
+            measure(robot, 20, path, arguments.threads)  # compiles
+            measure(robot, 60, path, arguments.threads)
         robot = Robot.load(ROBOTS[0])
         for count in COUNTS:
             if count <= arguments.most:
-                measure(robot, count, folder, arguments.threads)
+                measure(robot, count, path, arguments.threads)
 
 
 if __name__ == "__main__":

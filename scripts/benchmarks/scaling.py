@@ -1,10 +1,11 @@
 """Every command on families of large robots: time, memory, and what is refused.
 
-    python scripts/benchmarks/scaling.py [FAMILY | FAMILY SIZE] ... [--commands NAME ...] [--out FILE.csv]
+    python scripts/benchmarks/scaling.py [FAMILY [SIZE ...]] ... [--commands NAME ...] [--out FILE.csv] [--docs PAGE.md]
 
 Each command runs in a process of its own, the first with an empty cache of programs. A command fails if it takes more
 than 60 s of processor time or 4 GB, is ended by a signal, or prints a traceback. The exponent says how the time of one
-command grows with the size, over the larger half of the sizes.
+command grows with the size, over the larger half of the sizes. Runs are added to those in the file; with `--docs` the
+table of all of them is written into a page, between its marks.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy as np
 from families import FAMILIES
 
 SECONDS, BYTES = 60.0, 4e9
+START, END = "<!-- scaling -->", "<!-- end of scaling -->"
 _OUT_OF_HAND = 3.0  # times the seconds allowed, after which a command is ended
 
 COMMANDS: dict[str, tuple[str, ...]] = {
@@ -109,8 +111,47 @@ def study(family: str, sizes: list[int], commands: list[str]) -> Iterator[Run]:
 def exponent(runs: list[Run]) -> float:
     """Return how the time of one command grows with the size, over the larger half of the sizes that were done."""
     done = sorted((r.size, r.seconds) for r in runs if r.status == 0)
-    upper = np.log(np.array(done[len(done) // 2 - (len(done) > 1) :]))
-    return float(np.polyfit(*upper.T, 1)[0]) if len(upper) > 1 else float("nan")
+    sizes, seconds = np.log(np.array(done[len(done) // 2 - (len(done) > 1) :]).reshape(-1, 2)).T
+    return float(np.polyfit(sizes, seconds, 1)[0]) if len(sizes) > 1 else float("nan")
+
+
+def table(runs: list[Run]) -> str:
+    """Return a Markdown table: of each command the time at the greatest size of each family, and the exponent."""
+    families = [name for name in FAMILIES if any(r.family == name for r in runs)]
+    largest = {name: max(r.size for r in runs if r.family == name) for name in families}
+    lines = [["processor time [s]", *(f"{name} {largest[name]}" for name in families)], ["---"] * (len(families) + 1)]
+    for command in COMMANDS:
+        cells = []
+        for name in families:
+            own = [r for r in runs if (r.family, r.command) == (name, command)]
+            last = next((r for r in own if r.size == largest[name]), None)
+            growth = exponent(own)
+            power = f", n^{growth:.1f}^" if np.isfinite(growth) else ""
+            bad = [r for r in sorted(own, key=lambda r: r.size) if r.verdict not in ("ok", "refused")]
+            time_taken = (
+                "-" if last is None else "refused" if last.verdict == "refused" else f"{last.seconds:.1f}{power}"
+            )
+            cells.append(f"{bad[0].verdict} from {bad[0].size}" if bad else time_taken)
+        lines.append([command, *cells])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def read(path: Path) -> list[Run]:
+    """Return the runs of a file."""
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [
+        Run(
+            row["family"],
+            int(row["size"]),
+            row["command"],
+            float(row["seconds"]),
+            float(row["bytes"]),
+            int(row["status"]),
+            row["said"],
+        )
+        for row in rows
+    ]
 
 
 def main() -> None:
@@ -118,9 +159,11 @@ def main() -> None:
     parser.add_argument("families", nargs="*", help="names, each with sizes after it if not all")
     parser.add_argument("--commands", nargs="+", choices=COMMANDS, default=list(COMMANDS))
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--docs", type=Path, help="page with the marks <!-- scaling --> and <!-- end of scaling -->")
     arguments = parser.parse_args()
     chosen: dict[str, list[int]] = {}
-    for word in arguments.families or FAMILIES:
+    earlier = read(arguments.out) if arguments.out and arguments.out.exists() else []
+    for word in arguments.families or ([] if earlier else FAMILIES):
         if word.isdigit():
             chosen[list(chosen)[-1]].append(int(word))
         else:
@@ -137,12 +180,18 @@ def main() -> None:
             own = [r for r in runs if (r.family, r.command) == (family, command)]
             bad = [f"{r.size}: {r.verdict}" for r in own if r.verdict not in ("ok", "refused")]
             print(f"{family:<11} {command:<17} {exponent(own):9.1f}  {', '.join(bad) or '-'}")
+    new = {(r.family, r.size, r.command) for r in runs}
+    every = [r for r in earlier if (r.family, r.size, r.command) not in new] + runs
     if arguments.out:
-        text = io.StringIO()
-        writer = csv.writer(text)
+        rows = io.StringIO()
+        writer = csv.writer(rows)
         writer.writerow(["family", "size", "command", "seconds", "bytes", "status", "verdict", "said"])
-        writer.writerows([r.family, r.size, r.command, r.seconds, r.bytes, r.status, r.verdict, r.said] for r in runs)
-        arguments.out.write_text(text.getvalue(), encoding="utf-8")
+        writer.writerows([r.family, r.size, r.command, r.seconds, r.bytes, r.status, r.verdict, r.said] for r in every)
+        arguments.out.write_text(rows.getvalue(), encoding="utf-8")
+    if arguments.docs:
+        page = arguments.docs.read_text(encoding="utf-8")
+        start, end = page.index(START) + len(START), page.index(END)
+        arguments.docs.write_text(f"{page[:start]}\n{table(every)}\n{page[end:]}", encoding="utf-8")
 
 
 if __name__ == "__main__":

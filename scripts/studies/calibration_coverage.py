@@ -1,8 +1,9 @@
 """Coverage of a calibration's stated uncertainty, on machines written without the package.
 
 The machines are those of machines_apart.py. They are measured in the base's frame, from a tracker metres away, by
-targets of unknown position, by positions of the tool point and by heights alone; errors are from half to twice the
-tolerances of the error files. "Richness" is the size of the effects that no parameter describes: 0 for none.
+targets of unknown position, by positions of the tool point and by heights alone, by a gauge beside the tool point, by
+draw wires and by a camera; errors are from half to twice the tolerances of the error files. "Richness" is the size of
+the effects that no parameter describes: 0 for none.
 
     python scripts/studies/calibration_coverage.py [--machines 40] [--first 0] [--robots tripod] [--linear] [--table]
 
@@ -16,7 +17,7 @@ import argparse
 import csv
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -32,13 +33,18 @@ from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.refusals import refusals
 from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
 from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.measuring.datum import Datum
+from pm3dof_pin.measuring.instruments.table import placed_instrument
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.observation import observed
 from pm3dof_pin.measuring.registration import register
 
 ETA = 0.1
 TARGETS = np.array([[0.12, 0.0, 0.01], [-0.06, 0.1, 0.0], [-0.06, -0.1, -0.02]])
 TRACKER = (Rotation.from_rotvec([0.4, -0.7, 1.9]).as_matrix(), np.array([3.0, -1.5, 0.8]))
-SETUPS = ("base", "tracker", "targets", "positions", "heights")
+OTHERS = ("gauge", "wires", "camera")
+SETUPS = ("base", "tracker", "targets", "positions", "heights", *OTHERS)
+POINT = (0.12, 0.0, 0.01)
 ROBOTS = {"tripod": "pm3dof", "delta": "linear_delta", "hexapod": "hexapod", "arm": "ur5"}
 TESTS = 60
 _DENSE = 80  # noise-free poses from which a machine's parameters are found
@@ -95,6 +101,12 @@ def measured(
     if setup == "heights":
         only = np.tile([np.inf, np.inf, 7.5e-6], (count, 1))
         return Measurements(commands, positions * [0.0, 0.0, 1.0], None, only, points), TARGETS
+    if setup in OTHERS:
+        seen_by = placed_instrument(setup, nominal, point=None if setup == "camera" else POINT)
+        given = observed(commands, reached, seen_by).with_noise(generator)
+        at = given.points_on(nominal[np.repeat(np.arange(count), len(given) // count)])
+        fitted = (Datum.fitted(each.kind, each.number, at, each.numbers) for each in given.datums)
+        return replace(given, datums=tuple(fitted)), TARGETS
     turn, shift = TRACKER
     if setup == "tracker":
         found = register(positions @ turn.T + shift, nominal.positions, turn @ rotations, nominal.rotations)

@@ -35,6 +35,7 @@ MODULES = {
     "kinematics/actuation.py": ["mechanism/test_actuation.py"],
     "chapter/kinematics.py": ["chapter/test_kinematics.py", "chapter/test_limits.py"],
     "chapter/direct_kinematics.py": ["chapter/test_direct_kinematics.py"],
+    "dynamics/beam_masses.py": ["elastic/test_shear_and_mass.py"],
     "dynamics/mass_matrix.py": ["dynamics/test_inverse_dynamics.py", "dynamics/test_free_vibration.py"],
     "dynamics/inverse_dynamics.py": ["dynamics/test_inverse_dynamics.py"],
     "dynamics/modes.py": ["dynamics/test_modes.py"],

@@ -337,7 +337,19 @@ def test_unwritable_folder(run: Run, command: str, tmp_path: Path) -> None:
     assert (tmp_path / "file").read_text() == "kept"
 
 
-HEAVY = ["numpy", "numba", "scipy", "pinocchio", "xarray", "matplotlib", "zarr", "meshcat", "dask", "llvmlite"]
+HEAVY = [
+    "numpy",
+    "numba",
+    "scipy",
+    "pinocchio",
+    "xarray",
+    "matplotlib",
+    "zarr",
+    "meshcat",
+    "dask",
+    "llvmlite",
+    "pydantic",
+]
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 
 CLOSED = [name for name in DESCRIPTIONS if name != "ur5"]
 CLOSING, MATRICES, OF_VARIANTS = 60, 60, 40
+OF_WALKER = 20  # all are found: where one is not, Pinocchio fills a lattice of a thousand waypoints
 
 
 @pytest.mark.parametrize("given", ["coordinates", "commands"])
@@ -31,10 +32,13 @@ CLOSING, MATRICES, OF_VARIANTS = 60, 60, 40
 def test_loops_close_the_same_way(name: str, given: str) -> None:
     robot = load(name)
     coordinates = robot.coordinates if given == "coordinates" else robot.command_coordinates
-    if given == "commands" and (coordinates == robot.coordinates or name == "linear_delta"):
-        return  # many commands of this robot lie beyond singular poses
-    found = compared_closing(robot, coordinates, CLOSING, seed=7)
-    assert found.solved > CLOSING // 3
+    if given == "commands" and coordinates == robot.coordinates:
+        pytest.skip("the coordinates are the commands")
+    if given == "commands" and name == "linear_delta":
+        pytest.skip("many commands of this robot lie beyond singular poses")
+    count = OF_WALKER if name == "walker" else CLOSING
+    found = compared_closing(robot, coordinates, count, seed=7)
+    assert found.solved > count // 3
     assert (found.found_otherwise, found.other_mode, found.limits) == (0, 0, 0)
     assert found.difference < 1e-10
 

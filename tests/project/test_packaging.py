@@ -18,6 +18,7 @@ from pm3dof_pin.description.robots import find_robot, robot_names, robots_direct
 ROOT = Path(__file__).parents[2]
 HEAVY = {
     "dask",
+    "h5py",
     "matplotlib",
     "meshcat",
     "netCDF4",

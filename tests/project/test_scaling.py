@@ -1,0 +1,51 @@
+"""The study of large robots: its robots load and answer, and its table says what happened."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pm3dof_pin as pm
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import FAMILIES
+from scaling import Run, exponent, table
+
+# size; degrees of freedom by counting: six of a platform, one of a scissor and of each four-bar, six of each hexapod,
+# one of each joint of an arm, six of a walker's body on feet that stay; and drives, of a walker three a leg
+SMALL = {
+    "legs": (6, 6, 6),
+    "scissor": (2, 1, 1),
+    "four_bars": (4, 4, 4),
+    "stacked": (1, 6, 6),
+    "arm": (7, 7, 7),
+    "walker": (4, 6, 12),
+}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_small_robots_of_each_family(family: str, tmp_path: Path, answer: Callable[..., dict[str, Any]]) -> None:
+    size, freedoms, drives = SMALL[family]
+    path = FAMILIES[family][0](size).write(tmp_path / "robot")
+    robot = pm.load(path)
+    assert pm.instantaneous_mobility(robot.home).count == freedoms
+    pose = answer("fk", "--robot", str(path), "--configuration", "home")
+    assert len(pose["commands"]) == drives
+
+
+def test_table_and_exponents() -> None:
+    runs = [Run("legs", n, "info", 0.01 * n**2, 1e8, 0, "") for n in (3, 6, 12, 24)]
+    assert exponent(runs) == pytest.approx(2.0)
+    slow = Run("legs", 24, "modes", 61.0, 1e8, 0, "")
+    refused = Run("legs", 24, "workspace", 1.0, 1e8, 2, "Error: too many joints")
+    killed = Run("scissor", 2, "info", 1.0, 1e8, -11, "")
+    lines = table([*runs, slow, refused, killed]).splitlines()
+    assert lines[0] == "| processor time [s] | legs 24 | scissor 2 |"
+    assert lines[2] == "| info | 5.8, n^2.0^ | signal 11 from 2 |"
+    cells = {line.split(" | ")[0]: line for line in lines}
+    assert "slow from 24" in cells["| modes"]
+    assert "refused" in cells["| workspace"]
