@@ -23,7 +23,7 @@ from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.description.inertia_checks import inertia_matrix
 from pm3dof_pin.description.origin import NOWHERE, Origin
 from pm3dof_pin.exceptions import JointNotFoundError
-from pm3dof_pin.typing import Matrix
+from pm3dof_pin.typing import Matrix, Vector
 
 if TYPE_CHECKING:
     from pm3dof_pin.description.robots import RobotFiles
@@ -40,7 +40,12 @@ MAX_IN_A_ROW = 200
 """Longest chain of bodies, and most movable joints: Pinocchio's data take 60 bytes times their number cubed."""
 
 _FREE = 6  # degrees of freedom of a free body
-_NEUTRAL: Mapping[str, tuple[float, ...]] = {"floating": (0.0,) * 6 + (1.0,), "spherical": (0.0, 0.0, 0.0, 1.0)}
+_PERPENDICULAR = 1e-6  # greatest cosine between the axis of a planar base's turn and its slides
+_NEUTRAL: Mapping[str, tuple[float, ...]] = {
+    "floating": (0.0,) * 6 + (1.0,),
+    "spherical": (0.0, 0.0, 0.0, 1.0),
+    "planar": (0.0, 0.0, 1.0, 0.0),
+}
 _MAX_FLOATING = 40  # free bodies, which need memory as their number cubed
 
 
@@ -391,23 +396,63 @@ class Description:
 
     @property
     def floating_base(self) -> tuple[Joint, ...]:
-        """The joints, of six degrees of freedom, between the root and all others of the robot; none if it is held.
+        """The joints, of six degrees of freedom or three in a plane, by which parts of the robot float in its root.
 
-        A floating joint, or slides and turns in a row that nothing drives, with massless bodies between them.
+        For each part this is a floating or a planar joint, or slides and turns in a row with massless bodies between
+        them. Not one that is driven, nor that of a part which closures join to another or by its limbs to the root.
         """
+        return tuple(joint for chain in self._floating_chains for joint in chain)
+
+    @property
+    def floating_bodies(self) -> tuple[str, ...]:
+        """The bodies that :attr:`floating_base` carries."""
+        return tuple(chain[-1].child for chain in self._floating_chains)
+
+    @property
+    def _floating_chains(self) -> tuple[tuple[Joint, ...], ...]:
         driven = {*self.actuated_joints, *(drive.joint for drive in self.drives)}
-        found: list[Joint] = []
-        body = self.root.name
-        while sum(joint.dof for joint in found) < _FREE:
-            below = [joint for joint in self.joints_below[body] if not joint.is_fixed]
-            moving = [joint for joint in self.joints if not joint.is_fixed and joint not in found]
-            carriers = [joint for joint in below if all(joint in self.joints_to(other.child) for other in moving)]
-            if len(carriers) != 1 or carriers[0].name in driven or (found and self.body_by_name[body].mass):
-                return ()
-            found += carriers
-            body = carriers[0].child
-        translations = sum(joint.type == "prismatic" for joint in found)
-        return tuple(found) if len(found) == 1 or translations == _FREE // 2 else ()
+        on_root = {body.name for body in self.fixed_to(self.root.name)}
+        chains = (
+            self._free_chain(joint, driven)
+            for body in on_root
+            for joint in self.joints_below[body]
+            if not joint.is_fixed
+        )
+        ends = {frame.name: frame.body for frame in self.frames} | {joint.name: joint.child for joint in self.joints}
+        loops = [{ends.get(name, name) for name in (loop.frame_a, loop.frame_b)} for loop in self.closures]
+        floating = []
+        for chain in chains:
+            if chain:
+                base = {body.name for body in self.fixed_to(chain[-1].child)}
+                inside = {body.name for body in self.bodies if chain[-1] in self.joints_to(body.name)}
+                if all(loop <= inside or not loop & inside or loop <= base | on_root for loop in loops):
+                    floating.append(chain)
+        return tuple(sorted(floating, key=lambda chain: self.joints.index(chain[0])))
+
+    def _free_chain(self, joint: Joint, driven: set[str]) -> tuple[Joint, ...]:
+        """Return the joints that let a body float, from one on the root on; none if it does not float."""
+        chain: list[Joint] = []
+        while joint.name not in driven:
+            chain.append(joint)
+            below = [other for other in self.joints_below[joint.child] if not other.is_fixed]
+            if sum(member.dof for member in chain) >= _FREE or len(below) != 1 or self.body_by_name[joint.child].mass:
+                break
+            joint = below[0]
+        if len(chain) <= 1:
+            return tuple(chain) if chain and (chain[0].dof == _FREE or chain[0].type == "planar") else ()
+        turns = [member for member in chain if member.type in ("revolute", "continuous", "spherical")]
+        slides = [member for member in chain if member.type == "prismatic"]
+        degrees = len(slides), sum(member.dof for member in turns)
+        is_planar = degrees == (2, 1) and not any(
+            abs(self.axis_in_root(slide) @ self.axis_in_root(turns[0])) > _PERPENDICULAR for slide in slides
+        )
+        is_whole = len(slides) + len(turns) == len(chain)
+        return tuple(chain) if is_whole and (is_planar or degrees == (3, 3)) else ()
+
+    def axis_in_root(self, joint: Joint) -> Vector:
+        """Return the direction of a joint's axis in the root, where all joints are at their coordinate `zero`."""
+        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        return np.asarray(self.zero_placements[joint.parent].rotation @ joint.placement.se3.rotation @ axis)
 
     def with_base_held(self, configuration: str = "home") -> Description:
         """Return the robot with its floating base, if it has one, held where a named configuration has it.
@@ -495,6 +540,10 @@ def _motion(joint: Joint, numbers: tuple[float, ...]) -> pin.SE3:
             return pin.XYZQUATToSE3(numbers)
         case "spherical":
             return pin.XYZQUATToSE3((0.0, 0.0, 0.0, *numbers))
+        case "planar":
+            x, y, cosine, sine = numbers
+            turn = pin.AngleAxis(math.atan2(sine, cosine), np.array([0.0, 0.0, 1.0]))
+            return pin.SE3(turn.toRotationMatrix(), np.array([x, y, 0.0]))
         case _:
             return joint.motion(numbers[0] - joint.zero)
 

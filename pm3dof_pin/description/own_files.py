@@ -12,21 +12,32 @@ MANIFEST = "package.xml"
 """The file that marks a ROS package."""
 
 _PARTS = ("urdf", "xacro", "robots", "mjcf", "sdf", "xml", "srdf")
+_PROJECT = (".git", "LICENSE", "LICENSE.txt", "LICENSE.md", "README.md", "README.rst")  # what a project's folder has
 _MAX_MANIFEST = 1 << 16  # characters
 _MAX_LEVELS = 4  # how far above a file its package is searched
+_MAX_PROJECT_LEVELS = 8  # and its project
 
 
 def package_of(path: Path) -> Path:
     """Return the folder of a description's own files.
 
-    This is the nearest folder above the file with a package.xml; otherwise the file's own folder, or its parent if
-    that is named urdf, xacro, robots, mjcf, sdf, xml or srdf.
+    This is the nearest folder above the file with a package.xml; otherwise that of the project it is part of: the root
+    of a git repository, or the nearest folder above with a licence or a readme. Neither is searched in the user's home
+    folder, nor above it. Without any of these it is the file's own folder, or its parent if that is named urdf, xacro,
+    robots, mjcf, sdf, xml or srdf.
     """
     folder = path.resolve().parent
     for candidate in (folder, *list(folder.parents)[:_MAX_LEVELS]):
         if (candidate / MANIFEST).is_file():
             return candidate
-    return folder.parent if folder.name in _PARTS else folder
+    own = folder.parent if folder.name in _PARTS else folder
+    home = Path.home().resolve()
+    above = [candidate for candidate in (own, *own.parents) if not home.is_relative_to(candidate)]
+    for marks in (_PROJECT[:1], _PROJECT[1:]):
+        for candidate in above[:_MAX_PROJECT_LEVELS]:
+            if any((candidate / mark).exists() for mark in marks):
+                return candidate
+    return own
 
 
 def package_name(folder: Path) -> str:

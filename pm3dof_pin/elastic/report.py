@@ -111,8 +111,8 @@ class CartesianCompliance:
 
     def _message(self, finding: str, directions: Matrix) -> str:
         robot = self.configuration.mechanism
-        base = robot.description.floating_base
-        cause = f"; the base '{base[-1].child}' floats: hold it (--hold-base, hold_base=True)" if base else ""
+        bases = "', '".join(robot.description.floating_bodies)
+        cause = f"; the base '{bases}' floats: hold it (--hold-base, hold_base=True)" if bases else ""
         names = direction_names(directions)
         return f"frame '{self.frame}' {finding}: {names}{cause}; at q = {listed(self.configuration.q)}"
 

@@ -80,8 +80,9 @@ def read_source(
 def _arguments_of(description: Description, tool_frame: str | None, hold_base: bool) -> dict[str, Any]:
     """Return a description, with another tool frame if one is given, as the arguments of a mechanism."""
     description = replace(description, tool_frame=tool_frame or description.tool_frame)
-    if hold_base and (base := description.floating_base):
-        _logger.warning("%s: its base '%s' floats, and is held as at home", description.name, base[-1].child)
+    if hold_base:
+        for body in description.floating_bodies:
+            _logger.warning("%s: its base '%s' floats, and is held as at home", description.name, body)
         description = description.with_base_held()
     names = (
         *("closures", "couplings", "actuated_joints", "commands", "motion_coordinates", "coordinates", "limit_groups"),

@@ -92,3 +92,16 @@ def test_a_package_is_not_looked_for_without_end(tmp_path: Path) -> None:
     near, far = tmp_path / "a" / "b" / "c" / "urdf", tmp_path / "a" / "b" / "c" / "d" / "e" / "urdf"
     assert package_of(near / "arm.urdf") == tmp_path
     assert package_of(far / "arm.urdf") == far.parent
+
+
+def test_files_of_the_same_project_belong_to_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A git repository, or else a folder with a licence or a readme; never the user's home folder or one above it."""
+    robot = tmp_path / "project" / "robots" / "cell" / "cell.xml"
+    assert package_of(robot) == robot.parent
+    robot.parent.mkdir(parents=True)
+    (robot.parent.parent / "README.md").touch()
+    assert package_of(robot) == robot.parent.parent
+    (tmp_path / "project" / ".git").mkdir()
+    assert package_of(robot) == tmp_path / "project"
+    monkeypatch.setenv("HOME", str(tmp_path / "project"))
+    assert package_of(robot) == robot.parent.parent

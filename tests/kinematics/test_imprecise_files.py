@@ -71,9 +71,11 @@ def test_a_rank_is_decided_where_singular_values_fall():
     decision = RankDecision.by_gap(values, 1.4, RANK_CEILING)
     assert (decision.rank, decision.is_borderline) == (8, False)
     assert decision.gap == pytest.approx(8e-3 / 2.3e-7)
+    scaled = np.array([1.7, 1.7, 1.0, 1.0, 0.37, 0.36, 0.17, 0.15, 4.5e-6, 1.9e-6, 1.5e-6, 3e-16])  # by its length
+    assert RankDecision.by_gap(scaled, 1.75, RANK_CEILING).rank == 8
     assert RankDecision.by_gap(np.array([1.0, 1e-3, 3e-7, 1e-9]), 1.0, RANK_CEILING).rank == 2
     gradual = RankDecision.by_gap(np.array([1.0, 1e-2, 1e-4, 2e-6, 5e-7, 1e-8]), 1.0, RANK_CEILING)
-    assert (gradual.rank, gradual.is_borderline) == (4, True)
+    assert (gradual.rank, gradual.is_borderline) == (3, True)
 
 
 def test_a_declared_tolerance_is_used(tmp_path):

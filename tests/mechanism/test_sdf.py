@@ -190,7 +190,6 @@ def test_these_files_are_valid(tmp_path: Path, text: str) -> None:
         ("0 0.3 0 0 0 0", "0 0.3 0 0 0", "expected 6 numbers"),
         ("0 0.3 0 0 0 0", "0 0.3 nan 0 0 0", "not 'nan'"),
         ('link name="crank"', 'link name="ground"', "defined twice"),
-        ("<model name", "<model name='other'/><model name", "has 2 models, expected one"),
         (
             "</model>",
             "<include><uri>model://x</uri></include></model>",
@@ -203,6 +202,50 @@ def test_these_files_are_valid(tmp_path: Path, text: str) -> None:
 def test_a_damaged_file_is_one_error(tmp_path: Path, old: str, new: str, said: str) -> None:
     with pytest.raises(DescriptionError, match=said):
         Robot.load(_written(tmp_path, FOUR_BAR.replace(old, new, 1)))
+
+
+def test_models_of_a_world_are_one_robot(tmp_path: Path) -> None:
+    """Each is held at its first link unless a joint holds it; the names are those that SDF gives nested models."""
+    model = FOUR_BAR.partition('<sdf version="1.8">')[2].removesuffix("</sdf>")
+    loose = CHAIN.partition('<sdf version="1.9">')[2].removesuffix("</sdf>").replace('name="chain">', "{}", 1)
+    moved = loose.format('name="chain"><pose>1 2 3 0 0 0.5</pose>')
+    ground = '<model name="ground_plane"><static>true</static><link name="l"/></model>'
+    plugin = '<plugin name="p" filename="f"><joint_name>j1</joint_name></plugin></model>'
+    text = f'<sdf version="1.9"><world name="hall">{ground}{model.replace("</model>", plugin)}{moved}</world></sdf>'
+    robot = Robot.load(_written(tmp_path, text))
+    assert [loop.frame_a for loop in robot.closures] == ["bars::j4_parent"]
+    assert robot.actuated_joints == ("bars::j1",)
+    assert DegreesOfFreedom(robot.home).count == 1 + 4
+    assert robot.home.closure_residual < 1e-12
+    alone = Robot.load(_written(tmp_path, CHAIN))
+    placed = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.5), np.array([1.0, 2.0, 3.0])) * pin.SE3(
+        pin.rpy.rpyToMatrix(0.0, 0.0, 0.3), np.array([0.0, 0.0, 1.0])
+    )  # of the model in the world, and of its first link, the root of the other, in the model
+    expected = placed * alone.home.frame_placement("c")
+    assert robot.home.frame_placement("chain::c").isApprox(expected, 1e-12)
+
+
+def test_gearboxes_and_drakes_constraints_are_read(tmp_path: Path) -> None:
+    """The gearbox has theta_2 = -ratio theta_1 of the links about its axes (sdformat)."""
+    gear = (
+        '<joint name="g" type="gearbox"><parent>crank</parent><child>rocker</child><gearbox_reference_body>ground'
+        "</gearbox_reference_body><gearbox_ratio>-3</gearbox_ratio><axis><xyz>0 0 1</xyz></axis></joint></model>"
+    )
+    ball = (
+        "<drake:ball_constraint><drake:ball_constraint_body_A>coupler</drake:ball_constraint_body_A>"
+        "<drake:ball_constraint_body_B>rocker</drake:ball_constraint_body_B><drake:ball_constraint_p_AP>0.4 0 0"
+        "</drake:ball_constraint_p_AP><drake:ball_constraint_p_BQ>0 0.3 0</drake:ball_constraint_p_BQ>"
+        "</drake:ball_constraint></model>"
+    )
+    start = FOUR_BAR.index('\n<joint name="j4"')
+    open_chain = FOUR_BAR[:start] + FOUR_BAR[FOUR_BAR.index("</joint>", start) + len("</joint>") :]
+    geared = Robot.load(_written(tmp_path, open_chain.replace("</model>", gear)))
+    (coupling,) = geared.couplings
+    assert (coupling.joint, coupling.joints, coupling.coefficients) == ("j3", ("j1",), ((3.0,),))
+    closed = Robot.load(_written(tmp_path, open_chain.replace("</model>", ball)))
+    assert [loop.type for loop in closed.closures] == ["3d"]
+    assert closed.home.closure_residual < 1e-12
+    assert DegreesOfFreedom(closed.home).count == 1
 
 
 ARM = """<sdf version="1.9"><model name="arm"><pose>9 9 9 0 0 0</pose><link name="upper"/>

@@ -283,6 +283,28 @@ def test_a_base_on_slides_and_turns_floats_too(tmp_path: Path, turns: str, numbe
     assert pm.load(path, hold_base=True).model.nv > 1, "a base that is driven, as a gantry, is no floating one"
 
 
+def test_a_planar_base_and_free_objects_float_but_no_platform(tmp_path: Path) -> None:
+    """Two slides and a turn in their plane are a base; what closures join to other parts is none."""
+    base = '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>'
+    planar = WALKER.replace('<freejoint name="float"/>', base + '<joint name="pitch" axis="0 1 0"/>')
+    planar = planar.replace("1 2 3 0 0 0 1 0", "1 3 1.5707963267948966 0")
+    cup = '<body name="cup" pos="0 0 1"><freejoint/><geom size="0.01"/></body></worldbody>'
+    path = tmp_path / "walker.xml"
+    path.write_text(planar.replace("</worldbody>", cup), "utf-8")
+    robot = pm.load(path, tool_frame="hand", hold_base=True)
+    assert robot.description.floating_base == ()
+    assert robot.model.nv == 1
+    np.testing.assert_allclose(robot.home.tool_placement.translation, [1.0, 0.0, 3.0 - 0.7], atol=1e-12)
+    path.write_text(planar.replace('axis="0 1 0"', 'axis="0 0 1"'), "utf-8")
+    assert pm.load(path, hold_base=True).model.nv == 4, "its turn is not in the plane of its slides"
+    leg = '<body name="leg" pos="0.2 0 0"><joint axis="0 0 1"/><geom size="0.1"/></body></worldbody>'
+    tied = '<equality><connect body1="{0}" body2="{1}" anchor="0.1 0 0"/></equality><actuator>'
+    for ends in (("trunk", "leg"), ("arm", "world")):
+        text = WALKER.replace("</worldbody>", leg).replace("<actuator>", tied.format(*ends)).split("<keyframe>")[0]
+        path.write_text(text + "</mujoco>", "utf-8")
+        assert len(pm.load(path).description.floating_base) == 0, f"{ends} belong to a platform"
+
+
 def test_a_floating_base_is_held_for_a_stiffness(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A hinge of stiffness k bends the end of an arm of length L by L^2/k along y; home is turned by pi about z."""
     path = tmp_path / "walker.xml"

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from pm3dof_pin.description.readers.urdf import read_urdf
@@ -48,6 +49,9 @@ LOOPS = {
     '<drake:ball_constraint_p_BQ value="0 0.3 0"/></drake:ball_constraint>',
     "Gazebo": '<gazebo><joint name="l" type="revolute"><pose>0 0.3 0 0 0 0</pose><parent>coupler</parent>'
     "<child>rocker</child><axis><xyz>0 0 1</xyz></axis></joint></gazebo>",
+    "Gazebo, placed in other frames": '<gazebo><joint name="l" type="revolute"><pose relative_to="j1">0.4 0.3 0 '
+    '1.57 0 0</pose><parent>coupler</parent><child>rocker</child><axis><xyz expressed_in="base">0 0 1</xyz></axis>'
+    "</joint></gazebo>",
 }
 
 
@@ -130,6 +134,56 @@ def test_a_coupling_of_urdf_plus_is_a_gear(write_robot: Writer) -> None:
     q = dict(zip(robot.q_names, robot.assemble([0.1, 0.05, 0.0], joints={"j1": 0.1, "j2": 0.05}).q, strict=True))
     assert q["j3"] == pytest.approx(6.0 * (0.1 + 0.05), rel=1e-9)
     assert coupling.joint == "j3"
+
+
+GEARBOX = """<gazebo><joint name="g" type="gearbox"><parent>crank</parent><child>rocker</child>
+<gearbox_reference_body>base</gearbox_reference_body><gearbox_ratio>2.5</gearbox_ratio>
+<axis><xyz>0 0 {}</xyz></axis><axis2><xyz>0 0 1</xyz></axis2></joint></gazebo>"""
+TENDON = """<drake:tendon_constraint><drake:tendon_constraint_joint name="j1" a="{}"/>
+<drake:tendon_constraint_joint name="j3" a="2"/><drake:tendon_constraint_lower_limit value="0.2"/>
+<drake:tendon_constraint_upper_limit value="{}"/><drake:tendon_constraint_offset value="0.1"/>
+</drake:tendon_constraint>"""
+
+
+@pytest.mark.parametrize(
+    ("element", "coefficient", "offset"),
+    [
+        (GEARBOX.format(1), -2.5, 0.0),
+        (GEARBOX.format(-1), 2.5, 0.0),
+        (TENDON.format(0.5, 0.2), -0.25, 0.05),
+    ],
+)
+def test_gearboxes_and_tendons_couple_joints(
+    write_robot: Writer, element: str, coefficient: float, offset: float
+) -> None:
+    """A gearbox has theta_2 = -ratio theta_1 (sdformat); a tendon of equal limits sum(a q) + offset = limit (Drake)."""
+    (coupling,) = Robot.load(write_robot(FOUR_BAR.format(element), "{}\n")).couplings
+    assert (coupling.joint, coupling.joints) == ("j3", ("j1",))
+    np.testing.assert_allclose(coupling.coefficients, [[coefficient]])
+    assert coupling.offset == pytest.approx(offset)
+
+
+@pytest.mark.parametrize(
+    ("element", "message"),
+    [
+        (GEARBOX.format(1).replace(">rocker<", ">coupler<"), "a hinge of the tree between 'coupler'"),
+        (GEARBOX.format(1).replace("0 0 1</xyz></axis>", "0 1 0</xyz></axis>"), "its axis to be that of joint 'j1'"),
+        (GEARBOX.format(1).replace(">base<", ">bsae<"), "expected an existing link, not 'bsae'"),
+        (TENDON.format(1, 0.3), "expected equal limits"),
+        (TENDON.format(1, 0.2).replace("j3", "j9"), "each once, not 'j9'"),
+    ],
+)
+def test_other_gearboxes_and_tendons_are_refused_by_line(write_robot: Writer, element: str, message: str) -> None:
+    with pytest.raises(DescriptionError, match=rf"line \d+: .*{message}"):
+        Robot.load(write_robot(FOUR_BAR.format(element), "{}\n"))
+
+
+def test_drakes_distances_are_closures(write_robot: Writer) -> None:
+    text = LOOPS["Drake"].replace("ball_", "distance_").replace("0.4 0 0", "0.4 0 0.1")
+    text = text.replace("</drake:distance", '<drake:distance_constraint_distance value="0.1"/></drake:distance', 1)
+    (closure,) = (robot := Robot.load(write_robot(FOUR_BAR.format(text), "{}\n"))).closures
+    assert (closure.type, closure.length) == ("distance", 0.1)
+    assert robot.home.closure_residual < 1e-15
 
 
 def test_a_gazebo_plugin_makes_a_joint_follow(write_robot: Writer) -> None:
@@ -215,3 +269,17 @@ def test_a_universal_joint_of_drake_has_two_hinges(write_robot: Writer) -> None:
     found = robot.configuration([0.3, 0.4]).frame_placement("b").rotation
     turn = [[math.cos(0.4), 0.0, math.sin(0.4)]]
     np.testing.assert_allclose(found[:1], turn, atol=1e-15)
+
+
+def test_a_planar_joint_moves_across_its_axis(write_robot: Writer) -> None:
+    """URDF: in the plane perpendicular to the axis; numbers of limits and dynamics, three in Drake, have no meaning."""
+    text = (
+        '<robot name="r"><link name="floor"/><link name="cart"/><joint name="move" type="planar"><parent link="floor"/>'
+        '<child link="cart"/><axis xyz="0.6 0 0.8"/><dynamics damping="0.1 0.1 0.1"/></joint></robot>'
+    )
+    robot = Robot.load(write_robot(text, "{}\n"))
+    twists = robot.configuration(robot.home.q).frame_jacobian("cart")
+    normal = np.array([0.6, 0.0, 0.8])
+    np.testing.assert_allclose(normal @ twists[:3], 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.cross(twists[3:].T, normal), 0.0, atol=1e-15)
+    assert robot.home.frame_placement("cart").isApprox(pin.SE3.Identity(), 1e-12)

@@ -1,8 +1,9 @@
-"""SDF 1.7 to 1.11 (and earlier, as far as they agree): one model, whose joints may close loops.
+"""SDF 1.7 to 1.11 (and earlier, as far as they agree): models whose joints may close loops.
 
 Joints that close a loop are cut, and become loop closures of their type: first balls, then universal joints, then
 hinges and slides, of these the last in the file; fixed joints and joints with a controller are kept if possible. The
 report of what was read over says which were cut. A model without a joint to the world is held at its first link.
+Several models of a world are one robot, with names such as `model::link`.
 """
 
 from __future__ import annotations
@@ -36,7 +37,14 @@ from pm3dof_pin.description.description import (
 from pm3dof_pin.description.inertia_checks import MOMENTS, inertia_matrix, inertia_problem, is_reversed
 from pm3dof_pin.description.origin import Origin
 from pm3dof_pin.description.physical_bounds import ANY, LENGTH, MASS, NOT_NEGATIVE, PRODUCT, SIZE, Bounds
+from pm3dof_pin.description.readers.drake_constraints import (
+    POINT_CONSTRAINTS,
+    TENDON_CONSTRAINT,
+    point_constraint,
+    tendon_coupling,
+)
 from pm3dof_pin.description.readers.elements import ElementReader, free_name, named
+from pm3dof_pin.description.readers.gearbox import gearbox_coupling
 from pm3dof_pin.description.readers.sdf_includes import included_model, is_merged, merged_parts
 from pm3dof_pin.description.xml_file import Element, child, children
 
@@ -72,6 +80,8 @@ _MODEL_PARTS = (
     "self_collide",
     "allow_auto_disable",
     "plugin",
+    *POINT_CONSTRAINTS,
+    TENDON_CONSTRAINT,
 )
 _MODEL_PASSED = ("gripper", "enable_wind", "enable_stability", "placement_frame")
 _JOINT_PARTS = ("parent", "child", "pose", "axis", "axis2", "screw_thread_pitch", "thread_pitch")
@@ -79,13 +89,13 @@ _GEARS = ("gearbox_ratio", "gearbox_reference_body")
 
 
 def read_sdf(root: Element, folders: tuple[Path, ...] = (), *, lenient: bool = False) -> Description:
-    """Read the only model of an SDF, or the only one that is not static, from its root element.
+    """Read the models of an SDF, or those that are not static, from its root element.
 
     Models that it includes are read from its own folders and those next to them,
     see :func:`~pm3dof_pin.description.readers.sdf_includes.included_model`.
 
     Raises:
-        DescriptionError: there is no model or several, a number is malformed or impossible, a name is unknown, or an
+        DescriptionError: there is no model, a number is malformed or impossible, a name is unknown, or an
             element that could carry a loop, a coupling or a drive is not supported.
     """
     return _SdfReader(root, folders, lenient=lenient).read()
@@ -117,19 +127,22 @@ class _SdfReader(ElementReader):
         self.scopes: dict[str, str] = {}
         self.placements: dict[str, pin.SE3] = {WORLD: pin.SE3.Identity()}
         self.bodies: dict[str, Body] = {}
-        self.couplings: list[Coupling] = []
+        self.constraints: list[tuple[str, Element]] = []  # those of Drake, with their scopes
+        self.held: tuple[str, ...] = ()  # models of a world, each held at its first link if nothing else holds it
 
     def read(self) -> Description:
         """Read the model."""
         worlds = children(self.root, "world")
-        model = self._only_model((self.root, *worlds))
+        model = self._model((self.root, *worlds))
         self._register(model, "")
         for name, element in self.elements.items():
             if element.tag == "link":
                 self.bodies[name] = self._body(element, name)
-        edges = [self._edge(name, element) for name, element in self.elements.items() if element.tag == "joint"]
+        joint_elements = {name: element for name, element in self.elements.items() if element.tag == "joint"}
+        gears = {name: element for name, element in joint_elements.items() if element.get("type") == "gearbox"}
+        edges = [self._edge(name, element) for name, element in joint_elements.items() if name not in gears]
         drives = tuple(self._drives(model, {edge.name for edge in edges}))
-        if any(WORLD in (edge.parent, edge.child) for edge in edges):
+        if self.held or any(WORLD in (edge.parent, edge.child) for edge in edges):
             self.bodies = {WORLD: Body(WORLD, origin=model.origin), **self.bodies}
         if not self.bodies:
             raise model.origin.error(named(model), "has no links, expected some")
@@ -144,23 +157,34 @@ class _SdfReader(ElementReader):
         ]
         gravity = next((g for world in worlds if (g := child(world, "gravity")) is not None), None)
         driven = tuple(dict.fromkeys(drive.joint for drive in drives if drive.joint in {j.name for j in joints}))
-        return Description(
-            model.get("name", "model"),
-            tuple(self.bodies.values()),
-            tuple(joints),
-            (*frames, *closure_frames),
-            tuple(closures),
-            tuple(couplings),
-            drives,
-            driven if closures or couplings else (),
+        tree_alone = Description(model.get("name", "model"), tuple(self.bodies.values()), tuple(joints))
+        couplings += [c for name, element in gears.items() for c in self._gearbox(name, element, tree_alone)]
+        for scope, element in self.constraints:
+            if element.tag == TENDON_CONSTRAINT:
+                followed = {coupling.joint for coupling in couplings}
+                leading = [drive.joint for drive in drives]
+                tendon = tendon_coupling(self, element, tree_alone.joint_by_name, leading, followed, scope)
+                couplings += [] if tendon is None else [tendon]
+            else:
+                self._constrain(scope, element, closure_frames, closures)
+        return replace(
+            tree_alone,
+            frames=(*frames, *closure_frames),
+            closures=tuple(closures),
+            couplings=tuple(couplings),
+            drives=drives,
+            actuated_joints=driven if closures or couplings else (),
             gravity=(0.0, 0.0, -9.81) if gravity is None else self._texts(gravity, 3, ANY, "<gravity>"),
             unread=tuple(self.unread),
             dialect="sdf",
             origin=self.root.origin,
         )
 
-    def _only_model(self, parts: tuple[Element, ...]) -> Element:
-        """Return the model; included and static ones, such as the ground, are read over where there is another."""
+    def _model(self, parts: tuple[Element, ...]) -> Element:
+        """Return the model; included and static ones, such as the ground, are read over where there is another.
+
+        Several become parts of one model, as its nested models.
+        """
         models = [model for part in parts for model in children(part, "model")]
         for include in (include for part in parts for include in children(part, "include")):
             found = included_model(include, self.folders)
@@ -171,14 +195,19 @@ class _SdfReader(ElementReader):
             else:
                 self.refuse(include, found)
         moving = [model for model in models if self._text(model, "static") not in ("true", "1")]
-        if len(moving) == 1:
-            for model in models:
-                if model is not moving[0]:
-                    self.read_over(model, "is static, beside the robot")
-            return moving[0]
-        if len(models) != 1:
-            raise self.root.origin.error("<sdf>", f"has {len(models)} models, expected one")
-        return models[0]
+        for model in models if moving else []:
+            if model not in moving:
+                self.read_over(model, "is static, beside the robot")
+        if len(moving or models) == 1:
+            return (moving or models)[0]
+        if not moving:
+            raise self.root.origin.error("<sdf>", f"has {len(models)} models that move, expected some")
+        whole = Element("model", {"name": parts[-1].get("name", Path(self.root.path).stem)})
+        whole.path, whole.line = parts[-1].path, parts[-1].line
+        whole.extend(part for world in parts for part in children(world, "frame", "joint"))
+        whole.extend(moving)
+        self.held = tuple(model.get("name", "") for model in moving)
+        return whole
 
     # Names and poses
 
@@ -187,6 +216,8 @@ class _SdfReader(ElementReader):
         for element in self._with_included(model, depth):
             if element.tag == "plugin" and child(element, "joint_name") is None:
                 self.read_over(element)
+            if element.tag in (*POINT_CONSTRAINTS, TENDON_CONSTRAINT):
+                self.constraints.append((scope, element))
             if element.tag not in ("link", "joint", "frame", "model"):
                 continue
             name = f"{scope}{element.get('name', '')}"
@@ -360,9 +391,6 @@ class _SdfReader(ElementReader):
     def _edge(self, name: str, element: Element) -> _Edge:
         scope, kind, place = self.scopes[name], element.get("type", ""), f"joint '{name}'"
         self.check_children(element, (*_JOINT_PARTS, *_GEARS), ("physics", "sensor"))
-        if kind == "gearbox":
-            self.refuse(element, "gearbox joints are not supported")
-            kind = "revolute"
         if kind not in _JOINT_TYPES and kind not in _TWO_AXES:
             known = ", ".join((*_JOINT_TYPES, *_TWO_AXES))
             raise element.origin.error(place, f"expected one of {known}, not '{kind}'")
@@ -466,6 +494,14 @@ class _SdfReader(ElementReader):
         children_of = {edge.child for edge in kept}
         roots = [name for name in self.bodies if name == WORLD or name not in children_of]
         root = WORLD if WORLD in self.bodies else (roots or list(self.bodies))[0]
+        for name in self.held:
+            link = next((body for body in self.bodies if body.startswith(f"{name}::")), WORLD)
+            if top(link) != top(WORLD):
+                held = self._placement(link)
+                element = self.elements[name]
+                edges.append(_Edge(f"{name}::held", "fixed", WORLD, link, held, ((0.0, 0.0, 1.0),) * 2, element))
+                kept.append(edges[-1])
+                component[top(link)] = top(WORLD)
         reached, tree = {root}, []
         pending = [edge for edge in edges if edge in kept]
         while pending:
@@ -500,6 +536,17 @@ class _SdfReader(ElementReader):
             self.unread.append(Unread(named(edge.element), edge.origin, reason))
         return frames, closures
 
+    def _constrain(self, scope: str, element: Element, frames: list[Frame], closures: list[LoopClosure]) -> None:
+        """Read two points that coincide, or keep a distance, as Drake has them."""
+        found, names = point_constraint(self, element), []
+        for body, point, end in zip(found.bodies, found.points, "AB", strict=True):
+            link = self._link_of(self._resolved(body, scope, element))
+            placement = Placement.from_se3(self._in(link, self._resolved(body, scope, element)) * point.se3)
+            taken = {*self.bodies, *self.elements, *(frame.name for frame in frames)}
+            names.append(free_name(f"{scope}constraint{len(closures) + 1}_{end}", taken))
+            frames.append(Frame(names[-1], link, placement, element.origin))
+        closures.append(LoopClosure(names[0], names[1], found.kind, length=found.length, origin=element.origin))
+
     # Couplings and drives
 
     def _mimic(self, edge: _Edge, known: set[str]) -> Iterator[Coupling]:
@@ -517,13 +564,32 @@ class _SdfReader(ElementReader):
         )
         yield Coupling.from_powers(edge.name, scoped, (offset, multiplier), mimic.origin)
 
+    def _gearbox(self, name: str, element: Element, tree: Description) -> Iterator[Coupling]:
+        scope, place = self.scopes[name], f"joint '{name}'"
+        self.check_children(element, (*_JOINT_PARTS, *_GEARS), ("physics", "sensor"))
+        ends = [
+            self._link_of(self._resolved(self._text(element, tag), scope, element))
+            for tag in ("parent", "child", "gearbox_reference_body")
+        ]
+        placement, tags = self._placement(name), ("axis", "axis2" if child(element, "axis2") is not None else "axis")
+        in_root = self._placement(tree.root.name).rotation.T @ placement.rotation
+        axes = [in_root @ self._axis(element, tag, scope, placement, place) for tag in tags]
+        ratio = self._value(element, "gearbox_ratio", ANY, place, 1.0)
+        coupling = gearbox_coupling(tree, ends[:2], ends[2], axes, ratio, element.origin)
+        if isinstance(coupling, str):
+            self.refuse(element, coupling)
+        else:
+            yield coupling
+
     def _drives(self, model: Element, joints: set[str]) -> Iterator[Drive]:
-        """Yield the joints that a plugin controls."""
-        for plugin in children(model, "plugin"):
-            for entry in children(plugin, "joint_name"):
-                name = (entry.text or "").strip()
-                if name in joints:
-                    yield Drive(name, name, origin=plugin.origin)
+        """Yield the joints that a plugin of the model, or of one in it, controls."""
+        scopes = {"": model} | {f"{name}::": part for name, part in self.elements.items() if part.tag == "model"}
+        for scope, part in scopes.items():
+            for plugin in children(part, "plugin"):
+                for entry in children(plugin, "joint_name"):
+                    name = f"{scope}{(entry.text or '').strip()}"
+                    if name in joints:
+                        yield Drive(name, name, origin=plugin.origin)
 
 
 def _triple(axis: tuple[float, ...]) -> Axis:

@@ -10,6 +10,9 @@ import logging
 from collections.abc import Collection
 from dataclasses import replace
 
+import numpy as np
+import pinocchio as pin
+
 from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.description.description import (
     IDENTITY,
@@ -50,6 +53,7 @@ _SIZES: dict[str, tuple[ShapeKind, tuple[tuple[str, int], ...]]] = {
     "sphere": ("sphere", (("radius", 1),)),
     "mesh": ("mesh", ()),
 }
+_UNLIMITED_TYPES = ("floating", "planar")
 _MIN_AXIS = 1e-6  # length of an axis that has a direction
 _JOINT_NUMBERS: dict[str, dict[str, Bounds]] = {
     "limit": {"effort": NOT_NEGATIVE, "velocity": NOT_NEGATIVE},
@@ -240,10 +244,12 @@ class UrdfReader(ElementReader):
         for tag, entries in _JOINT_NUMBERS.items():
             if (part := child(element, tag)) is not None:
                 self._known(part)
+                if kind in _UNLIMITED_TYPES:  # limits and dynamics of no known meaning are ignored by all
+                    continue
                 for key, bounds in entries.items():
                     self.number(part, key, bounds, f"{place}: {tag}", 0.0)
         limit, dynamics = child(element, "limit"), child(element, "dynamics")
-        if kind in ("floating", "planar"):  # their limits, of no known meaning, are ignored by all
+        if kind in _UNLIMITED_TYPES:
             limit = dynamics = None
         lower, upper = self._limits(limit, kind, place)
         joint = Joint(
@@ -262,6 +268,9 @@ class UrdfReader(ElementReader):
             pitch=self.number(child(element, "drake:screw_thread_pitch"), "value", ANY, place, 0.0),
             origin=element.origin,
         )
+        if kind == "planar" and (turn := _turn_from_z(joint.axis)) is not None:  # which is in its xy plane here
+            placement = Placement.from_se3(joint.placement.se3 * turn)
+            joint = replace(joint, placement=placement, child_placement=Placement.from_se3(turn.inverse()))
         self._mimic(element, joint)
         if is_drakes and kind == "universal":  # about x of the parent, then y of the child
             cross = Body(f"{joint.name}_cross", origin=joint.origin)
@@ -347,3 +356,11 @@ class UrdfReader(ElementReader):
             actuator_name = name if actuator is None else actuator.get("name", name)
             drives.append(Drive(actuator_name, name, gear, rotor, origin=element.origin))
         return drives
+
+
+def _turn_from_z(axis: tuple[float, ...]) -> pin.SE3 | None:
+    """Return the turn from z to an axis; None if it is z."""
+    direction = np.array(axis) / np.linalg.norm(axis)
+    if np.array_equal(direction, [0.0, 0.0, 1.0]):
+        return None
+    return pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction).matrix(), np.zeros(3))

@@ -5,7 +5,7 @@
   that are `independent`, which are taken as actuated if no transmission says otherwise.
 - `<constraint>` as proposed in ros/urdfdom#264, with an axis in each of its two frames, and `<loop_constraint>`.
 - `<loop_joint>` of Isaac Sim and of Drake's early versions.
-- Drake's `<drake:ball_constraint>`.
+- Drake's `<drake:ball_constraint>`, `<drake:distance_constraint>` and `<drake:tendon_constraint>` of equal limits.
 - In `<gazebo>`, a `<joint>` of SDF between two links of the tree, and plugins that make a joint mimic another.
 """
 
@@ -15,26 +15,36 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
 from pm3dof_pin.description.closure_types import CLOSURE_TYPE_NAMES, CLOSURE_TYPES, ClosureTypeName
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.description.description import Description, Frame, Placement
 from pm3dof_pin.description.physical_bounds import ANGLE, ANY, LENGTH
+from pm3dof_pin.description.readers.drake_constraints import (
+    POINT_CONSTRAINTS,
+    TENDON_CONSTRAINT,
+    point_constraint,
+    tendon_coupling,
+)
 from pm3dof_pin.description.readers.elements import free_name, named
+from pm3dof_pin.description.readers.gearbox import gearbox_coupling
 from pm3dof_pin.description.xml_file import Element, child, children
 from pm3dof_pin.exceptions import InvalidValueError
 
 if TYPE_CHECKING:
     from pm3dof_pin.description.readers.urdf import UrdfReader
 
-_REFUSED = ("drake:linear_bushing_rpy", "drake:weld_constraint", "drake:distance_constraint")
+_REFUSED = ("drake:linear_bushing_rpy", "drake:weld_constraint")
 LOOP_TAGS = (
-    *("loop", "coupling", "constraint", "loop_constraint", "loop_joint", "drake:ball_constraint"),
+    *("loop", "coupling", "constraint", "loop_constraint", "loop_joint", *POINT_CONSTRAINTS, TENDON_CONSTRAINT),
     *_REFUSED,
 )
 """Elements of `<robot>` that are read, or refused, here."""
 
+_REFERENCE = "gearbox_reference_body"
+_Z = (0.0, 0.0, 1.0)
 _TYPES: dict[str, ClosureTypeName] = {"continuous": "hinge", **CLOSURE_TYPE_NAMES}
 
 
@@ -60,8 +70,15 @@ class UrdfLoops:
                     self._constraint(element)
                 case "loop_joint":
                     self._loop_joint(element)
-                case "drake:ball_constraint":
-                    self._ball(element)
+                case tag if tag in POINT_CONSTRAINTS:
+                    found = point_constraint(self.reader, element)
+                    ends = list(zip(found.bodies, found.points, strict=True))
+                    self._close(element, ends, None, None, found.kind, found.length)
+                case tag if tag == TENDON_CONSTRAINT:
+                    followed = {coupling.joint for coupling in self.couplings}
+                    leading = {*independent, *(drive.joint for drive in self.tree.drives)}
+                    coupling = tendon_coupling(self.reader, element, self.tree.joint_by_name, leading, followed)
+                    self.couplings += [coupling] if coupling is not None else []
                 case "coupling":
                     self._coupling(element, independent)
                 case "gazebo":
@@ -119,15 +136,6 @@ class UrdfLoops:
             frames.append((end.get("link", ""), Placement.from_angles(position, angles)))
         self._close(element, frames, self._axis(element, "axis"), None)
 
-    def _ball(self, element: Element) -> None:
-        frames = []
-        for body, point in (("body_A", "p_AP"), ("body_B", "p_BQ")):
-            parts = [child(element, f"drake:ball_constraint_{tag}") for tag in (body, point)]
-            name = "" if parts[0] is None else parts[0].get("name", "")
-            position = self.reader.numbers(parts[1], "value", 3, LENGTH, named(element), (0.0, 0.0, 0.0))
-            frames.append((name, Placement(position)))
-        self._close(element, frames, None, None, "3d")
-
     def _axis(self, element: Element, *tags: str) -> tuple[float, ...] | None:
         tag = next((tag for tag in tags if child(element, tag) is not None), None)
         return None if tag is None else self.reader.axis(element, named(element), tag)
@@ -139,6 +147,7 @@ class UrdfLoops:
         axis: tuple[float, ...] | None,
         other_axis: tuple[float, ...] | None,
         default_type: str = "",
+        length: float | None = None,
     ) -> None:
         """Add a closure between two frames, each given by its link and its placement in it."""
         given = element.get("type", default_type).lower()
@@ -158,7 +167,9 @@ class UrdfLoops:
             axis = (1.0, 0.0, 0.0)
         axes = (_triple(axis), _triple(other_axis) if row.has_two_axes else None)
         try:
-            closure = LoopClosure(frames[0], frames[1], kind, axis=axes[0], axis_b=axes[1], origin=element.origin)
+            closure = LoopClosure(
+                frames[0], frames[1], kind, axis=axes[0], axis_b=axes[1], length=length, origin=element.origin
+            )
         except InvalidValueError as error:
             raise element.origin.error(named(element), str(error)) from error
         self.closures.append(closure)
@@ -216,29 +227,66 @@ class UrdfLoops:
             self.reader.read_over(element)
 
     def _gazebo_joint(self, element: Element) -> None:
-        """Read a joint of SDF: its frame is placed in the child, and the axis given in it."""
-        texts = {part.tag: (part.text or "").strip() for part in children(element)}
-        links = [texts.get("parent", ""), texts.get("child", "")]
-        for link in links:
-            if link != "world" and link not in self.tree.body_by_name:
+        """Read a joint of SDF: its frame is placed in the child unless it says otherwise, and the axis given in it."""
+        links = []
+        for tag in ("parent", "child", _REFERENCE):
+            part = child(element, tag)
+            link = "" if part is None else (part.text or "").strip()
+            if link != "world" and link not in self.tree.body_by_name and (part is not None or tag != _REFERENCE):
                 raise element.origin.error(named(element), f"expected an existing link, not '{link}'")
-        parent, other = (self.tree.root.name if link not in self.tree.body_by_name else link for link in links)
-        element.set("pose", texts.get("pose", "0 0 0 0 0 0") or "0 0 0 0 0 0")
-        numbers = self.reader.numbers(element, "pose", 6, ANY, named(element))
-        in_child = Placement.from_angles(numbers[:3], numbers[3:])
-        zero = self.tree.zero_placements
-        in_parent = Placement.from_se3(zero[parent].actInv(zero[other] * in_child.se3))
-        axes: list[tuple[float, ...] | None] = [None, None]
-        for index, tag in enumerate(("axis", "axis2")):
-            xyz = child(child(element, tag), "xyz")
-            if xyz is not None:
-                element.set(tag, (xyz.text or "").strip())
-                axes[index] = self.reader.numbers(element, tag, 3, ANY, named(element))
+            links.append(self.tree.root.name if link == "world" and link not in self.tree.body_by_name else link)
+        pose = child(element, "pose")
+        reference = ("" if pose is None else pose.get("relative_to", "")) or links[1]
+        if pose is not None and (pose.text or "").strip():
+            element.set("pose", (pose.text or "").strip())
+        numbers = self.reader.numbers(element, "pose", 6, ANY, named(element), (0.0,) * 6)
+        placed = self._zero_placement(reference, element) * Placement.from_angles(numbers[:3], numbers[3:]).se3
+        axes = [self._gazebo_axis(element, tag, placed) for tag in ("axis", "axis2")]
+        if element.get("type") == "gearbox":
+            in_root = [placed.rotation @ axis for axis in (axes[0] or _Z, axes[1] or axes[0] or _Z)]
+            ratio = child(element, "gearbox_ratio")
+            element.set("ratio", "1" if ratio is None else (ratio.text or "").strip())
+            number = self.reader.number(element, "ratio", ANY, named(element), 1.0)
+            coupling = gearbox_coupling(self.tree, links[:2], links[2], in_root, number, element.origin)
+            if isinstance(coupling, str):
+                self.reader.refuse(element, coupling)
+            elif all(coupling.joint != other.joint for other in self.couplings):  # usually <mimic> says the same
+                self.couplings.append(coupling)
+            return
         if element.get("type") == "universal":
             axes[0], axes[1] = axes[0] or (1.0, 0.0, 0.0), axes[1] or (0.0, 1.0, 0.0)
         else:
-            axes = [axes[0] or (0.0, 0.0, 1.0), None]
-        self._close(element, [(parent, in_parent), (other, in_child)], axes[0], axes[1])
+            axes = [axes[0] or _Z, None]
+        ends = [
+            (link, Placement.from_se3(self.tree.zero_placements[link].actInv(placed)) if link != reference else None)
+            for link in links[:2]
+        ]
+        given = Placement.from_angles(numbers[:3], numbers[3:])  # without rounding
+        self._close(element, [(link, placement or given) for link, placement in ends], axes[0], axes[1])
+
+    def _zero_placement(self, name: str, element: Element) -> pin.SE3:
+        """Return the placement of a link, a joint or the model in the root, at zero."""
+        if name in self.tree.joint_by_name and name not in self.tree.body_by_name:
+            name = self.tree.joint_by_name[name].child
+        name = self.tree.root.name if name in ("__model__", "world") else name
+        if name not in self.tree.body_by_name:
+            raise element.origin.error(named(element), f"expected an existing frame, not '{name}'")
+        return self.tree.zero_placements[name]
+
+    def _gazebo_axis(self, element: Element, tag: str, placed: pin.SE3) -> tuple[float, ...] | None:
+        """Return an axis of a joint of SDF in the joint's frame."""
+        axis = child(element, tag)
+        xyz = child(axis, "xyz")
+        if xyz is None:
+            return None
+        element.set(tag, (xyz.text or "").strip())
+        numbers = self.reader.numbers(element, tag, 3, ANY, named(element))
+        of_model = child(axis, "use_parent_model_frame")
+        is_of_model = of_model is not None and (of_model.text or "").strip() in ("true", "1")
+        frame = "__model__" if is_of_model else xyz.get("expressed_in", "")
+        if not frame:
+            return numbers
+        return tuple((placed.rotation.T @ self._zero_placement(frame, element).rotation @ numbers).tolist())
 
 
 def _triple(axis: tuple[float, ...] | None) -> tuple[float, float, float] | None:
