@@ -106,20 +106,20 @@ class Reference:
         grid = waypoint_lattice(robot, coordinates, origin)
         first = tuple(int(np.abs(axis - x).argmin()) for axis, x in zip(grid.axes.values(), origin, strict=True))
         found: dict[tuple[int, ...], Vector] = {}
-        waiting, tried = [(first, home)], {first}
+        waiting = [(first, home)]  # a pose that one neighbour does not lead to may be reached from another
         while waiting:
             index, start = waiting.pop(0)
+            if index in found:
+                continue
             walk = _Walk(robot, coordinates, branches_of(robot), start, None, shortest=_SHORTEST_QUICK_LEG)
             q = walk.to(grid.values[index])
             if np.isnan(q).any():
-                tried.discard(index)  # perhaps from another neighbour
                 continue
             found[index] = q
             for axis, size in enumerate(grid.shape):
                 for step in (-1, 1):
                     other = (*index[:axis], index[axis] + step, *index[axis + 1 :])
-                    if 0 <= other[axis] < size and other not in tried:
-                        tried.add(other)
+                    if 0 <= other[axis] < size and other not in found:
                         waiting.append((other, q))
         values = np.array([grid.values[index] for index in found]).reshape(len(found), len(coordinates))
         return values, np.array(list(found.values())).reshape(len(found), robot.model.nq)
