@@ -237,13 +237,11 @@ class PlanningProblem:
         known = slice(None) if np.size(indices) else slice(len(self.unknowns))
         return float(np.sqrt(np.trace(np.linalg.solve(self.information(indices), self._tip)[known, known])))
 
-    def accuracy_curve(
-        self, counts: Sequence[int], strategy: Strategy, seeds: Iterable[int], *, restarts: int = 1
-    ) -> Array:
+    def accuracy_curve(self, counts: Sequence[int], strategy: Strategy, seeds: Iterable[int]) -> Array:
         """Return the predicted tip error against the number of poses, shape=(counts, seeds) [m]; see :meth:`plan`."""
 
         def predicted(count: int, seed: int) -> float:
-            return self.predicted_tip_rms(self._chosen(count, strategy, np.random.default_rng(seed), restarts))
+            return self.predicted_tip_rms(self._chosen(count, strategy, np.random.default_rng(seed), restarts=1))
 
         every = list(seeds)
         return np.array([[predicted(count, seed) for seed in every] for count in counts])

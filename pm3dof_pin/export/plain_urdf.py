@@ -40,9 +40,9 @@ def _with_tool_frame(robot: RobotDocument, closures: str | None, tool_frame: str
     return "".join(kept for kept in closures.splitlines(True) if not kept.startswith("tool_frame:")) + line
 
 
-def urdf_text(robot: RobotDocument, mesh_prefix: str = "") -> str:
-    """Return the URDF of a robot, verbatim if it is one without meshes; their names get a prefix, as `package://x/`."""
-    return _with_meshes(robot, urdf_files(robot.described, floating=False, own_meshes=True)[".urdf"], mesh_prefix)
+def urdf_text(robot: RobotDocument) -> str:
+    """Return the URDF of a robot, verbatim if it is one without meshes."""
+    return _with_meshes(robot, urdf_files(robot.described, floating=False, own_meshes=True)[".urdf"], "")
 
 
 def _with_meshes(robot: RobotDocument, text: str, mesh_prefix: str) -> str:
@@ -51,9 +51,9 @@ def _with_meshes(robot: RobotDocument, text: str, mesh_prefix: str) -> str:
     return document_text(_element(robot, text, mesh_prefix), _BANNER.format(robot.name))
 
 
-def urdf_element(robot: RobotDocument, mesh_prefix: str = "") -> ElementTree.Element:
+def urdf_element(robot: RobotDocument) -> ElementTree.Element:
     """Return a robot's URDF with its meshes named as in the export, and without limits that stand for none."""
-    return _element(robot, urdf_files(robot.described, floating=False, own_meshes=True)[".urdf"], mesh_prefix)
+    return _element(robot, urdf_files(robot.described, floating=False, own_meshes=True)[".urdf"], "")
 
 
 def _element(robot: RobotDocument, text: str, mesh_prefix: str) -> ElementTree.Element:

@@ -13,15 +13,16 @@ from pm3dof_pin.figures.labels import parameter_words, plain
 from pm3dof_pin.figures.style import ONE_COLUMN, house_style, new_figure
 
 COMPENSABLE_COLOR, UNCOMPENSABLE_COLOR = "#56B4E9", "#D55E00"
+_MOST = 20  # parameters shown
 
 
-def error_ranking(ranking: Sequence[ParameterShare], machine: str, most: int = 20) -> Figure:
+def error_ranking(ranking: Sequence[ParameterShare], machine: str) -> Figure:
     """Draw the tip errors of an :class:`ErrorMap`'s most critical parameters of a machine within their tolerances.
 
     Raises:
         InvalidValueError: there is nothing to show.
     """
-    shown = list(ranking)[:most]
+    shown = list(ranking)[:_MOST]
     if not shown:
         raise InvalidValueError("ranking", problem="is empty", expected="at least one parameter")
     rows = np.arange(len(shown))

@@ -118,10 +118,10 @@ class VectorText:
         address = self.vector_address(pointer, index)
         self.do(f"store {self.vector} {value}, {self.vector_pointer} {address}, align {align}")
 
-    def spread(self, scalar: str, kind: str = "double") -> str:
+    def spread(self, scalar: str) -> str:
         """Return a vector with the scalar in all lanes."""
-        vector = f"<{self.lanes} x {kind}>"
-        first = self.emit(f"insertelement {vector} poison, {kind} {scalar}, i32 0")
+        vector = self.vector
+        first = self.emit(f"insertelement {vector} poison, double {scalar}, i32 0")
         return self.emit(f"shufflevector {vector} {first}, {vector} poison, <{self.lanes} x i32> zeroinitializer")
 
     # arithmetic on vectors

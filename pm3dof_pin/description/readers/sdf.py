@@ -314,9 +314,9 @@ class _SdfReader(ElementReader):
         return Placement.from_angles(numbers[:3], tuple(unit * angle for angle in numbers[3:]))
 
     @staticmethod
-    def _text(element: Element | None, tag: str, default: str = "") -> str:
+    def _text(element: Element | None, tag: str) -> str:
         found = child(element, tag)
-        return default if found is None else (found.text or "").strip() or default
+        return "" if found is None else (found.text or "").strip()
 
     def _texts(self, element: Element, count: int, bounds: Bounds, place: str) -> tuple[float, ...]:
         """Return the numbers that are the text of an element."""
