@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Matrix
 
 _PARALLEL = 1e-10  # relative length of a normal to generators that are linearly dependent
+_UNFELT = 1e-9  # cosine of a direction and a normal at right angles, of descriptions with ten digits
 _AT_ONCE = 1_000_000  # numbers of generators whose normals are found together
 _SAME = 1e-9  # relative distance of vertices that are one
 
@@ -151,7 +151,7 @@ class Polytopes:
         """
         given = np.asarray(directions, dtype=float)
         along = np.einsum("...md,...d->...m", self.normals, given)
-        along = np.where(along > ROUNDING * np.linalg.norm(given, axis=-1, keepdims=True), along, 0.0)
+        along = np.where(along > _UNFELT * np.linalg.norm(given, axis=-1, keepdims=True), along, 0.0)
         far = _ratio(self.offsets, along).min(axis=-1)
         return np.asarray(np.where(self.contains_origin, far, np.nan))
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import frozen, require_choice
 from pm3dof_pin.capability.transmission import Transmission
 from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Mask, Vector
 
 Choice: TypeAlias = Literal["least-wrong", "worst"]
@@ -100,7 +101,7 @@ def serial_model(
     count, axes = len(transmission.joints), transmission.axes
     within = transmission.poses.within_limits & np.isfinite(transmission.jacobian).all(axis=(-2, -1))
     if not within.any():
-        raise UnreachablePoseError(f"{transmission.poses.robot.name}: no pose of the box is within limits")
+        raise UnreachablePoseError(f"{transmission.poses.robot.name}: {_reason(transmission.poses)}")
     rotor = _at(transmission.rotor_inertia, within)
     diagonal = np.einsum("...ii->...i", rotor)
     with np.errstate(invalid="ignore"):  # rotors without inertia
@@ -129,6 +130,17 @@ def serial_model(
         },
         distance_to_singularity=float(_at(transmission.distance_to_singularity, within).min()),
     )
+
+
+def _reason(poses: Poses) -> str:
+    """Say why no pose of a box is within limits."""
+    words, solved = "no pose of the box is within limits", np.argwhere(poses.solved)
+    if not len(solved):
+        return f"{words}: all are out of reach"
+    broken = poses[tuple(solved[len(solved) // 2])].configuration().violated_limits()
+    listed = ", ".join(f"{b.name} at {b.value:.4g}, limits {b.lower:.4g} to {b.upper:.4g}" for b in broken[:3])
+    outside = poses.solved.size - len(solved)
+    return f"{words}: {outside} of {poses.solved.size} are out of reach, others break limits, as {listed} (m, rad)"
 
 
 def _at(values: Array, within: Mask) -> Array:

@@ -20,7 +20,7 @@ from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
-from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError, SingularConfigurationError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.pose_values import BatchOptions
@@ -34,6 +34,7 @@ Limit: TypeAlias = float | Mapping[str, float] | ArrayLike | None
 """Limits of the drives, to either side: one for all, one each in their order, or by name; None for the described."""
 
 _UNLIMITED = 1e300
+_MARK = "\0"  # ends a name that other frames have as well
 _SAME_VALUE = 1e-6  # differences of a joint's values that are rounding [rad, m]
 
 
@@ -56,32 +57,62 @@ def joint_driven(robot: Robot, joints: Sequence[str] = (), drives: Sequence[str]
     return robot.replace(actuated_joints=tuple(drives), commands=()) if drives else robot
 
 
-def held_outside(robot: Robot, link: str) -> Robot:
+def held_outside(robot: Robot, link: str, joints: Sequence[str] = ()) -> Robot:
     """Return what a link carries, as a robot of its own: the link and all other joints are held at home.
 
-    Springs are left out, and so are drives, commands and limits of held joints.
+    Args:
+        robot: the robot.
+        link: the link.
+        joints: joints that move the link itself and are not held either, as the first one of a leg.
 
     Raises:
         FrameNotFoundError: there is no such link.
         InvalidValueError: the link carries no joint, or a coupling ties a joint that it carries to one that is held.
+        JointNotFoundError: there is no such joint.
     """
     require_kind("robot", robot, Robot, "pm.load")
     model = robot.model
     base = model.frames[robot.frame_id(link)].parentJoint
-    carried = [k for k in range(1, model.njoints) if base in list(model.supports[k])[:-1]]
-    held = [k for k in range(1, model.njoints) if k not in carried]
-    if not carried:
+    above = {name for name in joints if _index(robot, name) in list(model.supports[base])}
+    held = [
+        name
+        for k, name in enumerate(model.names)
+        if k and base not in list(model.supports[k])[:-1] and name not in above
+    ]
+    if len(held) == model.njoints - 1:
         raise InvalidValueError("subtree", link, "a link that carries joints")
+    return _held(robot, held, robot.home.q)
+
+
+def held_as_described(robot: Robot, joints: Sequence[str]) -> Robot:
+    """Return a robot without some joints, which are held where the description has them, as springs at rest.
+
+    Springs are left out, and so are drives, commands and limits of held joints, and closures between held bodies.
+
+    Raises:
+        JointNotFoundError: there is no such joint.
+        InvalidValueError: a coupling ties a joint that is held to one that is not.
+    """
+    require_kind("robot", robot, Robot, "pm.load")
+    return _held(robot, joints, robot.described_home.q)
+
+
+def _held(robot: Robot, joints: Sequence[str], q: Vector) -> Robot:
+    model = robot.model
+    held = [_index(robot, name) for name in joints]
+    carried = {k for k in range(1, model.njoints) if k not in held}
     names = {model.names[k] for k in carried}
     for coupling in robot.couplings:
         tied = {coupling.joint, *coupling.joints}
         if tied & names and not tied <= names:
-            raise InvalidValueError("subtree", link, f"a link that carries all joints of {coupling.name}")
+            raise InvalidValueError(
+                "held joints", ", ".join(sorted(tied - names)), f"all joints of {coupling.name}, or none"
+            )
 
     def moves(frame: str) -> bool:  # by index: a joint may have the name of a link
-        return model.frames[robot.frame_id(frame)].parentJoint in carried
+        return not carried.isdisjoint(model.supports[model.frames[robot.frame_id(frame)].parentJoint])
 
-    reduced = _reduced(model, held, np.array(robot.home.q))
+    reduced = _reduced(model, held, np.array(q))
     commands = tuple(command for command in robot.commands if command.joint in names)
     return robot.replace(
         model=reduced,
@@ -97,15 +128,23 @@ def held_outside(robot: Robot, link: str) -> Robot:
     )
 
 
+def _index(robot: Robot, name: str) -> int:
+    if not robot.model.existJointName(name):
+        raise JointNotFoundError(name, robot.name, list(robot.model.names)[1:])
+    return int(robot.model.getJointId(name))
+
+
 def _reduced(model: pin.Model, held: list[int], q: Vector) -> pin.Model:
-    """Return a model without some joints, which are held at q; bodies may have the names of joints."""
-    model, mark = model.copy(), "/body"
-    for frame in model.frames:  # Pinocchio looks for the frame of a joint by its name alone
-        if frame.type == pin.FrameType.BODY and frame.name in set(model.names):
-            frame.name += mark
+    """Return a model without some joints, which are held at q; frames may share their names."""
+    model, joints, seen = model.copy(), set(model.names), set()
+    for index, frame in enumerate(model.frames):  # Pinocchio looks for frames by their names alone
+        is_joint = frame.type == pin.FrameType.JOINT
+        if not is_joint and (frame.name in joints or frame.name in seen):
+            frame.name += f"{_MARK}{index}"
+        seen.add(frame.name)
     reduced = pin.buildReducedModel(model, held, q)
     for frame in reduced.frames:
-        frame.name = frame.name.removesuffix(mark)
+        frame.name = frame.name.partition(_MARK)[0]
     return reduced
 
 

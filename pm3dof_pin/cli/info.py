@@ -246,7 +246,7 @@ def _imprecision(robot: Robot) -> str:
 
 
 def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool) -> None:
-    """List the assemblies near the described home, and write one as home if it is chosen, or the only one."""
+    """List the assemblies near the described home, and write as home the chosen one, or the only one within limits."""
     homes = assembled_homes(robot)
     joints = list(zip(robot.model.names, robot.model.joints, strict=True))[1:]
     names = [name for name, joint in joints if joint.nv == 1]
@@ -261,8 +261,9 @@ def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool
     ]
     rows = [[str(entry["branch"]), f"{entry['distance']:.3g}", str(entry["within_limits"])] for entry in entries]
     lines = table_lines(["branch", "distance from the described home [rad, sizes]", "within limits"], rows)
-    if branch is None and len(homes) == 1:
-        branch = 1
+    within = [number for number, home in enumerate(homes, start=1) if home.within_limits]
+    if branch is None and len(within or homes) == 1:
+        branch = (within or [1])[0]
     if branch is not None and not 1 <= branch <= len(homes):
         raise typer.BadParameter(f"--branch {branch}: there are {len(homes)}")
     path = files.srdf or files.path.parent / f"{files.name}.srdf"

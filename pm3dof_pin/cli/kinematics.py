@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, newton
@@ -38,6 +39,7 @@ from pm3dof_pin.typing import Vector
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.assembly_modes import AssemblyModes
 
+_SHOWN_JOINTS = 8  # passive joints at most in a table of assembly modes
 _TIMES = 5  # each assembly mode is to be met
 
 Commands = Annotated[
@@ -126,6 +128,8 @@ def fk(
         ]
     lines = _pose_lines(machine.coordinates, modes if all_modes else [solved.coordinates])
     if found_modes is not None:
+        if machine.coordinates == machine.command_coordinates:
+            lines = _mode_lines(found_modes.poses)
         count = len(found_modes.counts)
         result |= {"starts": found_modes.starts, "estimated_modes": found_modes.estimated}
         result["missed_probability"] = found_modes.missed
@@ -203,6 +207,22 @@ def _pose_lines(coordinates: Sequence[Coordinate], poses: Sequence[Vector]) -> l
     digits = {"m": 12, "rad": 9}
     rows = [[_reading(v, c.unit, digits[c.unit])[0] for c, v in zip(coordinates, pose, strict=True)] for pose in poses]
     return table_lines(header, rows)
+
+
+def _mode_lines(modes: Poses) -> list[str]:
+    """Return a table of modes that coordinates do not tell apart: places of the tool, or else passive joints."""
+    robot = modes.robot
+    if robot.tool_frame is not None:
+        columns = dict(zip(("x_m", "y_m", "z_m"), modes.positions.T.tolist(), strict=True))
+        angles = np.degrees([tool_components(transform)[3:] for transform in modes.transforms])
+        columns |= dict(zip(("rx_deg", "ry_deg", "rz_deg"), angles.T.tolist(), strict=True))
+    else:
+        joints = [_joints(pose) for pose in modes]
+        passive = [name for name in robot.passive_joints if name in joints[0]][:_SHOWN_JOINTS]
+        shown = [(name, *shown_in(robot.single_joint(name).unit)) for name in passive]
+        columns = {f"{name}_{unit}": [factor * each[name] for each in joints] for name, factor, unit in shown}
+    rows = [[fixed(value, 9) for value in row] for row in zip(*columns.values(), strict=True)]
+    return table_lines(list(columns), rows)
 
 
 def _joints(configuration: Configuration) -> dict[str, float]:

@@ -12,6 +12,7 @@ import typer
 
 from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_grid
 from pm3dof_pin.cli.options import Payload, finite_number, numbers_by_name, payloads_of
+from pm3dof_pin.cli.output import message
 from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNotFoundError
 
 if TYPE_CHECKING:
@@ -35,7 +36,15 @@ class TransmissionOptions:
         str | None, typer.Option(metavar="A,B", help="Joints of the serial model; the robot's coordinates by default.")
     ] = None
     subtree: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Only what this link carries; all other joints are held at home.")
+        str | None,
+        typer.Option(
+            metavar="LINK",
+            help="Only what this link carries; all other joints are held at home, unless --joints names them.",
+        ),
+    ] = None
+    hold: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Joints that are held as described, as those of springs that count as rigid."),
     ] = None
     over: Annotated[
         list[CoordinateRange] | None,
@@ -71,12 +80,24 @@ class TransmissionOptions:
     payload: Payload = 0.0
 
     def part(self, robot: Robot) -> Robot:
-        """Return the part of a robot that is asked about, with the joints as its coordinates."""
-        from pm3dof_pin.capability.transmission import held_outside, joint_driven
+        """Return the part of a robot that is asked about, with the joints as its coordinates.
+
+        A home that is open, singular or beyond limits is replaced by the only assembly within limits, with a message.
+        """
+        from pm3dof_pin.capability.transmission import held_as_described, held_outside, joint_driven
+        from pm3dof_pin.kinematics.assemblies import home_within_limits
 
         try:
+            if self.hold is not None:
+                robot = held_as_described(robot, _names(self.hold))
+            if (home := home_within_limits(robot)) is not None:
+                robot = robot.with_home(home.q)
+                message(
+                    f"pm3dof: {robot.name}: its described home is open, singular or beyond limits; home is here the "
+                    "only assembly found within all limits: pm3dof info --assemble writes it next to the file"
+                )
             if self.subtree is not None:
-                robot = held_outside(robot, self.subtree)
+                robot = held_outside(robot, self.subtree, _names(self.joints))
             return joint_driven(robot, _names(self.joints))
         except (JointNotFoundError, FrameNotFoundError, InvalidValueError) as error:
             raise typer.BadParameter(str(error)) from error

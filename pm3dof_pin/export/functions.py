@@ -440,6 +440,10 @@ def _selftest():
         if not worst[name] < 1e-9:
             raise ValueError(f"{name} is off by {worst[name]:.3g} of its size")
     return worst
+
+
+if __name__ == "__main__":
+    print(_selftest())
 '''
 
 _SELFTEST_CASADI = '''
@@ -455,4 +459,8 @@ def _selftest():
         if not worst[name] < 1e-9:
             raise ValueError(f"{name} is off by {worst[name]:.3g} of its size")
     return worst
+
+
+if __name__ == "__main__":
+    print(_selftest())
 '''

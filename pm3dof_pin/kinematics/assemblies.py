@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.exceptions import ConvergenceError, PM3DofError
+from pm3dof_pin.exceptions import ConvergenceError, PM3DofError, SingularConfigurationError
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.branches import Branches
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
@@ -120,6 +120,24 @@ def assembled_homes(robot: PlacedMechanism) -> list[AssembledHome]:
         task = f"{robot.name}: closing the loops"
         raise ConvergenceError(task, nearest.residual, "m or rad", nearest.steps, advice)
     return sorted(chosen.values(), key=lambda home: home.distance)
+
+
+def home_within_limits(robot: PlacedMechanism) -> Configuration | None:
+    """Return the only assembly found within all limits, for a robot whose home is open, singular or beyond limits.
+
+    None otherwise. Files whose joints have ranges without zero, and no keyframe, describe a home that is none.
+    """
+    if not robot.has_loops:
+        return None
+    if robot.home.closure_residual <= robot.closure_tolerance and not robot.home.violated_limits():
+        with suppress(SingularConfigurationError):
+            if Branches(robot).start is not None:
+                return None
+    try:
+        within = [home for home in assembled_homes(robot) if home.within_limits]
+    except ConvergenceError:
+        return None
+    return within[0].configuration if len(within) == 1 else None
 
 
 def _candidate(robot: PlacedMechanism, described: Configuration, configuration: Configuration) -> AssembledHome:

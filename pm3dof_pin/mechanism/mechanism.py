@@ -200,6 +200,14 @@ class Mechanism:
         variant._prototype = self.prototype
         return variant
 
+    def with_home(self, q: ArrayLike) -> Self:
+        """Return a mechanism of its own, with no prototype, that differs in the named configuration "home"."""
+        model = self.model.copy()
+        model.referenceConfigurations["home"] = np.array(self.checked_positions(q))
+        variant = self.replace(model=model)
+        variant._prototype = None
+        return variant
+
     def displaced(self, model: pin.Model) -> Self:
         """Return a copy with a model that differs in placements only; faster than :meth:`replace`."""
         kind = type(self)

@@ -84,3 +84,11 @@ def test_impossible_limits_are_refused() -> None:
 def test_too_many_drives_are_refused_before_any_work() -> None:
     with pytest.raises(InvalidValueError, match="1,712,304"):
         Polytopes.from_box(np.zeros((6, 48)), -np.ones(48), np.ones(48))
+
+
+def test_directions_that_rounded_numbers_nearly_let_the_drives_feel_are_unlimited() -> None:
+    """A tool whose torque about one axis is carried by the structure but for a description's tenth digit."""
+    felt = np.array([[1.0, 5e-12]])
+    forces = Polytopes.from_box(np.eye(1), [-3.0], [3.0]).pulled_back(felt)
+    assert forces.extent([1.0, 0.0]) == pytest.approx(3.0)
+    assert np.isinf(forces.extent([0.0, 1.0]))

@@ -157,6 +157,35 @@ def test_one_leg_of_a_walker_held_outside() -> None:
     assert part.home.closure_residual < 1e-9
 
 
+_BODY = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+_SPRUNG_PARALLELOGRAM = f"""
+<mujoco model="parallelogram"><compiler angle="degree" autolimits="true"/>
+<default><joint axis="0 1 0"/></default><worldbody><body name="torso">
+<body name="thigh"><joint name="hip" range="-60 60"/>{_BODY}
+<body name="crank"><joint name="crank" range="20 160"/>{_BODY}
+<body name="coupler" pos="0.1 0 0"><joint name="elbow"/>{_BODY}
+<body name="leaf" pos="0.1 0 0"><joint name="flexure" stiffness="500"/>{_BODY}<site name="end" pos="0.2 0 0"/></body>
+</body></body>
+<body name="rocker" pos="0.3 0 0"><joint name="rocker" range="20 160"/>{_BODY}<site name="tip" pos="0.1 0 0"/></body>
+</body></body></worldbody>
+<equality><connect site1="end" site2="tip"/></equality>
+<actuator><motor name="crank" joint="crank"/><motor name="hip" joint="hip"/></actuator></mujoco>"""
+
+
+def test_a_sprung_linkage_whose_home_is_flat(answer: Callable[..., Any], tmp_path: Path) -> None:
+    """At zero, beyond all limits, a parallelogram is singular; with its leaf spring rigid both cranks turn alike."""
+    path = tmp_path / "parallelogram.xml"
+    path.write_text(_SPRUNG_PARALLELOGRAM, encoding="utf-8")
+    options = ("transmission", "--robot", str(path), "--hold", "flexure", "--over", "rocker", "40", "140", "3")
+    leg = answer(*options, "--joints", "rocker", "--subtree", "thigh")
+    assert leg["drives"] == ["crank"]
+    np.testing.assert_allclose(leg["jacobian"], [[1.0]], rtol=1e-9)
+    assert leg["box"]["share_out_of_reach"] == 0.0
+    with_hip = answer(*options, "--joints", "rocker,hip", "--subtree", "thigh", "--over", "hip", "-5", "5", "2")
+    assert with_hip["drives"] == ["crank", "hip"]
+    np.testing.assert_allclose(with_hip["jacobian"], np.eye(2), atol=1e-9)
+
+
 _LINK = """<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
 </inertial></link>"""
 _HINGE = """<joint name="{0}" type="continuous"><origin xyz="{3}"/><parent link="{1}"/><child link="{2}"/>
