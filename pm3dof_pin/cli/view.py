@@ -205,13 +205,13 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
 def _elastic_model(machine: Robot) -> ElasticModel | None:
     for lack in lacks_of(machine):
         message(f"pm3dof: {lack}")
-    if not machine.springs or machine.tool_frame is None:
+    if not machine.springs or machine.tool_frame is None or machine.description.floating_base:
         return None
     return ElasticModel(machine)
 
 
 def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, others: OtherMotions | None) -> None:
-    if viewer.mechanism.tool_frame is None:
+    if viewer.mechanism.tool_frame is None or viewer.mechanism.description.floating_base:
         return
     try:
         for kind in _KINDS:
@@ -272,6 +272,8 @@ def _compliance_on_path(model: ElasticModel, poses: Poses) -> list[Matrix] | Non
 
 
 def _draw_forces(viewer: Viewer, configuration: Configuration) -> None:
+    if viewer.mechanism.description.floating_base:
+        return  # nothing holds its weight
     try:
         forces = holding_forces(configuration).actuator_forces
     except SingularConfigurationError as error:

@@ -392,6 +392,8 @@ class Robot(PlacedMechanism):
         if not result.converged:
             advice = "try a guess closer to an assembled configuration"
             raise ConvergenceError("closing the loops", result.residual, "m or rad", result.steps, advice)
+        if guess is None and joints is None and result.residual > 0.5 * self.home.closure_residual:
+            return self.home  # as closed as the description permits; steps that gain nothing lead astray
         return result.configuration
 
     def _solutions(

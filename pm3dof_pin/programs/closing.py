@@ -271,7 +271,7 @@ def _minor(
     By Cramer's rule it is the ratio of two determinants of the loops' equations, both sparse: with the drives given in
     place of these quantities, and with the quantities. It takes square systems, otherwise nothing is returned.
     """
-    if any(system.rows is None for system in systems):
+    if not systems or any(system.rows is None for system in systems):
         return []
     columns = [held[k] for k in given if k < len(held) and held[k] not in drives]
     columns += [k for system in systems for k in system.unknowns if k not in drives]

@@ -66,7 +66,10 @@ def _verify(mechanism: Mechanism, closed: Array, *, dense: bool) -> None:
     names = mechanism.constraint_names
     for q, index in ((q, index) for q in range(len(closed)) for index in range(len(names))):
         traced = at_samples[f"closure {index}"][q].reshape(model.nv, -1).T
-        _compare(mechanism, f"closure {names[index]}", traced, _closure(mechanism, index, closed[q]))
+        # both are the same function where the loops are closed, and differ by as much as a description leaves them open
+        open_by = 2.0 * Configuration(mechanism, closed[q]).closure_residual
+        expected = _closure(mechanism, index, closed[q])
+        _compare(mechanism, f"closure {names[index]}", traced, expected, TOLERANCE + open_by)
 
 
 def _frame(mechanism: Mechanism, name: str, q: Array) -> Array:
@@ -88,10 +91,10 @@ def _closure(mechanism: Mechanism, index: int, q: Array) -> Array:
     return rows
 
 
-def _compare(mechanism: Mechanism, name: str, traced: Array, expected: Array) -> None:
+def _compare(mechanism: Mechanism, name: str, traced: Array, expected: Array, tolerance: float = TOLERANCE) -> None:
     difference = np.abs(traced - expected).max(initial=0.0)
-    if not difference <= TOLERANCE:
+    if not difference <= tolerance:
         raise ProgramError(
             f"{mechanism.name}: {name}: traced Jacobian or placement differs by {difference:.1e} "
-            f"from Pinocchio's, expected at most {TOLERANCE:.0e}"
+            f"from Pinocchio's, expected at most {tolerance:.0e}"
         )

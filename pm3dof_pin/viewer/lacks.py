@@ -8,18 +8,21 @@ from pm3dof_pin.elastic.springs import Spring
 from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.viewer.labels import display_title
 
 
 def lacks_of(robot: Robot, springs: Sequence[Spring] | None = None) -> list[str]:
     """Return why a page has no sliders, or no stiffness; empty if it has both. Springs are by default the described."""
-    said = []
+    title, said = display_title(robot), []
     if not robot.coordinates:
-        said.append(f"{robot.name} has no drives (--drives JOINT,..) in its description: there are no sliders")
+        said.append(f"{title} has no drives (--drives JOINT,..) in its description: there are no sliders")
     missing = [] if (robot.springs if springs is None else springs) else ["springs (--drive-stiffness)"]
     missing += [] if robot.tool_frame is not None else ["tool frame (--tool-frame)"]
     if missing:
         what = " and no ".join(missing)
-        said.append(f"{robot.name} has no {what} in its description: stiffness ellipsoids are not drawn")
+        said.append(f"{title} has no {what} in its description: stiffness ellipsoids are not drawn")
+    elif base := robot.description.floating_base:
+        said.append(f"the base '{base[-1].child}' floats (--hold-base): stiffness ellipsoids are not drawn")
     return said
 
 

@@ -129,6 +129,8 @@ class Viewer(ShownScene):
         self._direction: tuple[float, float, float | None] = (*self._space.camera, None)
         self._immobile = immobile(mechanism)
         lacks = lacks_of(mechanism, None if model is None else model.springs)
+        if sliders and self._programs is None:
+            lacks.append(f"no sliders: {mechanism.reason_without_programs() or 'there is no program'}")
         self._panel |= {"robot": mechanism.name, "roles": self._roles(), "lacks": lacks}
         self._panel["immobile"] = self._immobile
         if self._sliders is not None:

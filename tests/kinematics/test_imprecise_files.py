@@ -90,3 +90,30 @@ def test_a_declared_tolerance_is_used(tmp_path):
     robot = Robot(model, exact.closures, **(arguments | {"closure_tolerance": 2e-4}))
     assert robot.forward([0.1]).residual == pytest.approx(1e-4, rel=1e-6)
     assert Robot.load(MACHINES / "four_bar" / "four_bar.urdf", closure_tolerance=1e-7).closure_tolerance == 1e-7
+
+
+# a parallelogram held together at both ends of its pins, which are askew by micrometres on one side
+TWICE_PINNED = """<mujoco><worldbody>
+<body name="crank"><joint name="crank" axis="0 0 1" range="-1 1"/><geom size=".01" fromto="0 0 0 0 1 0" type="capsule"/>
+  <body name="coupler" pos="0 1 0"><joint name="pin" axis="0 0 1"/>
+    <geom size=".01" fromto="0 0 0 1 0 0" type="capsule"/>
+    <site name="a" pos="1 0 .05"/><site name="b" pos="1 0 -.05"/></body></body>
+<body name="rocker" pos="1 0 0"><joint name="rocker" axis="0 0 1"/>
+  <geom size=".01" fromto="0 0 0 0 1 0" type="capsule"/>
+  <site name="c" pos="1e-6 1 .05"/><site name="d" pos="-1e-6 1 -.05"/></body></worldbody>
+<equality><connect site1="a" site2="c"/><connect site1="b" site2="d"/></equality>
+<actuator><motor joint="crank"/></actuator></mujoco>"""
+
+
+def test_loops_that_cannot_close_fully_have_programs(tmp_path):
+    """Redundant constraints of a robot out of CAD contradict each other by a micrometre, in every pose."""
+    path = tmp_path / "twice_pinned.xml"
+    path.write_text(TWICE_PINNED, encoding="utf-8")
+    robot = Robot.load(path)
+    assert robot.home.closure_residual > 5e-8
+    assert robot.reason_without_programs() is None
+    np.testing.assert_array_equal(robot.assemble().q, robot.home.q)
+    angles = np.linspace(-0.8, 0.8, 5)[:, None]
+    for engine in ("program", "pinocchio"):
+        poses = robot.solve(angles, engine=engine)
+        np.testing.assert_allclose(poses.q[:, [1, 2]], angles * [-1.0, 1.0], atol=1e-6)

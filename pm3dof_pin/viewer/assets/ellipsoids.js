@@ -6,6 +6,7 @@ hasWebGL && (() => {
   const form = document.getElementById("choices");
   const selects = { of: form.querySelector("[name=of]"), others: form.querySelector("[name=others]") };
   const labels = document.getElementById("labels");
+  const EDGE = 6; // between a number and the edge of the picture [pixels]
   const CLOSE = 17, LETTER = 7; // pixels: least distance between labels; width of a letter
   const scales = new Map(); // of ellipsoids selected here, kept so that they can be compared
   let chosen = null; // by the user: of and others
@@ -134,17 +135,19 @@ hasWebGL && (() => {
 
   // A number at the end of every semi-axis, except where it would overlap another.
   function write() {
-    const taken = [], tools = document.getElementById("tools").getBoundingClientRect();
+    const taken = [], tools = document.getElementById("tools").getBoundingClientRect(), pane = pm3dof.pane();
     labels.textContent = "";
     pm3dof.panel().legend.filter((entry) => entry.principal && isShown(entry) && !entry.stale).forEach((entry) => {
       const { elements: m } = node(entry.nodes[0]).object.matrix;
       [2, 1, 0].forEach((axis) => {
         const tips = [1, -1].map((sign) => project([0, 1, 2].map((row) => m[12 + row] + sign * m[4 * axis + row])));
         if (tips.some((tip) => !tip)) return;
-        const [x, y] = tips[0][1] < tips[1][1] ? tips[0] : tips[1];
+        const [tip, y] = tips[0][1] < tips[1][1] ? tips[0] : tips[1];
         const middle = project([m[12], m[13], m[14]]);
-        if (Math.hypot(x - middle[0], y - middle[1]) < CLOSE / 2) return;
+        if (Math.hypot(tip - middle[0], y - middle[1]) < CLOSE / 2) return;
         const text = engineering(entry.principal[axis], entry.live ? entry.live.unit : entry.unit), width = LETTER * text.length;
+        const x = Math.min(tip, pane.width - width / 2 - EDGE); // whole, beside the edge
+        if (tip - x > width || y > pane.height) return;
         if (x + width / 2 > tools.left && x - width / 2 < tools.right && y - 2 * CLOSE < tools.bottom) return;
         if (taken.some(([a, b, other]) => Math.abs(y - b) < CLOSE && Math.abs(x - a) < (width + other) / 2 + 8)) return;
         taken.push([x, y, width]);

@@ -18,6 +18,8 @@ const pm3dof = hasWebGL && (() => {
   const STOPPED = 0x9b0000; // glow of bodies at a limit
   const AGAIN = 1500; // between attempts to reach a server that has ended [ms]
   const HALVINGS = 7; // of the way to a slider's place out of reach
+  const PHONE = 640; // widest window with the panel below the picture, as in page.css [pixels]
+  const ROOM = 60; // below the panel for warnings that appear later [pixels]
   const shown = new Map(); // the user's checkboxes, by entry
   let panel = { legend: [] };
   let robot = null; // moved by sliders
@@ -43,8 +45,20 @@ const pm3dof = hasWebGL && (() => {
     return { width, height, above, behind: bare || height < window.innerHeight ? 0 : Math.min(0.5 * width, 314) };
   }
 
+  // On a phone the picture has the height that the panel leaves, at least 48 %.
+  function divide() {
+    const { style } = document.documentElement, panel = document.getElementById("panel");
+    style.removeProperty("--pane");
+    if (window.innerWidth > PHONE) return;
+    const box = (each) => each.getBoundingClientRect(), ends = [...panel.children].map((each) => box(each).bottom);
+    const needed = Math.max(...ends) - box(panel).top + panel.scrollTop + box(document.getElementById("note")).height;
+    const free = window.innerHeight - needed - ROOM;
+    style.setProperty("--pane", `${Math.round(Math.min(0.7, Math.max(0.48, free / window.innerHeight)) * window.innerHeight)}px`);
+  }
+
   const setSize = viewer.set_3d_pane_size.bind(viewer);
   viewer.set_3d_pane_size = () => {
+    divide();
     const { width, height, behind, above } = pane(), framed = isFramed();
     viewer.camera.setViewOffset(width, height, -0.5 * behind, -0.5 * above, width, height); // centred in the free part
     setSize(width, height);
@@ -202,13 +216,14 @@ const pm3dof = hasWebGL && (() => {
       });
     }
     (data.lacks || []).forEach((line) => element(legend, "p", "lack", line));
-    if (data.camera) frame(data.camera);
     robot = data.machine && programs ? new Robot(data.machine, programs) : null;
     pose = robot ? robot.pose(data.q) : null;
     showSliders();
     data.legend.forEach(applyEntry);
     showNote(data.note || [], data.warnings || []);
     if (pose) showStopped();
+    viewer.set_3d_pane_size();
+    if (data.camera) frame(data.camera);
     if (!tidied) tidyControls();
     tidied = true;
     tell("panel");
@@ -374,9 +389,12 @@ const pm3dof = hasWebGL && (() => {
     if (found) return show(found, index);
     const last = lastBefore(start, set, index, value);
     if (last) show(last, index);
+    const others = robot.data.sets.filter((other) => other !== set).map(({ title }) => title.toLowerCase());
+    const reason = robot.data.has_closures ? "Out of reach: the loops do not close there, or" : "Out of reach, or";
+    const stuck = `Not even a small step is possible, as in a singular pose: move the ${others[0]} first.`;
     showNote(
       [set.numbers.map((number, k) => reading(number, wanted[k])).join(", "), "The picture shows the last pose found on the way."],
-      ["Out of reach: the loops do not close there, or a singular pose lies in between."],
+      [last || !others.length ? `${reason} a singular pose lies in between.` : stuck],
     );
   }
 
