@@ -22,8 +22,8 @@ LENGTH = 0.2
 
 
 @pytest.fixture(scope="module")
-def shell(mechanism: Robot) -> Shell:
-    return workspace_shell(mechanism, "felt_stiffness:z", tool_length=LENGTH, cells=16)
+def shell(slender: Robot) -> Shell:
+    return workspace_shell(slender, "felt_stiffness:z", tool_length=LENGTH, cells=16)
 
 
 def poses_of(tips: np.ndarray) -> np.ndarray:
