@@ -32,6 +32,7 @@ from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 _REACHED = 1e-9  # relative part of a direction that the tool cannot move in, up to which it counts as rounding
+_MOST_FREEDOMS = 8  # of redundant drives, the vertices of whose polytope of rates are all found
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +115,32 @@ class ToolCapability:
         possible = left <= _REACHED * np.linalg.norm(wanted[known], axis=-1)
         found[known] = np.where(possible, moves, 0.0)
         return found
+
+    def velocities(self, rows: slice) -> Matrix:
+        """Return points whose convex hull is the set of velocities of the tool at a single pose, shape=(k, 3).
+
+        Where every drive is independent it is a zonotope, whose facets are pairs of drives, however many there are.
+
+        Args:
+            rows: 0:3 of the twist, whatever the rotation [m/s], or 3:6, whatever the translation [rad/s].
+
+        Raises:
+            InvalidValueError: the speed of a drive is not described, or redundant drives have too many freedoms.
+        """
+        _require_known("speed", self.drives, self.speed)
+        rates = self.tool_rates[rows]
+        count = rates.shape[1]
+        if len(self.drives) > count:
+            if count > _MOST_FREEDOMS:
+                asked = f"of {len(self.drives)} drives for {count} freedoms"
+                raise InvalidValueError("speed polytope", asked, f"redundant drives for at most {_MOST_FREEDOMS}")
+            bounds = Polytopes.from_inequalities(self.drive_rates, -self.speed, self.speed)
+            return np.asarray(bounds.vertices() @ rates.T)
+        left, sizes, _ = np.linalg.svd(rates * self.speed)
+        axes = left[:, : len(sizes)][:, sizes > _REACHED * np.linalg.norm(self.tool_rates * self.speed)]
+        if not axes.size:
+            return np.zeros((1, 3))
+        return np.asarray(Polytopes.from_box(axes.T @ rates, -self.speed, self.speed).vertices() @ axes.T)
 
     @cached_property
     def _solved_inverse(self) -> tuple[Mask, Array]:

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.capability.tool_capability import ToolCapability, tool_capability
 from pm3dof_pin.cli.options import (
     AppliedWrenches,
@@ -110,10 +109,12 @@ def _forces_at_once(at: ToolCapability) -> Array | None:
         return None
 
 
-def _velocities(at: ToolCapability) -> Array:
-    """Return the velocities of the tool's point, whatever its rotation, whose convex hull is the speed polytope."""
-    rates = Polytopes.from_inequalities(at.drive_rates, -at.speed, at.speed).vertices()
-    return np.asarray(rates @ at.tool_rates[:3].T)
+def _velocities(at: ToolCapability) -> Array | None:
+    """Return the velocities of the tool's point whose convex hull is the speed polytope; None if they are too many."""
+    try:
+        return at.velocities(slice(0, 3))
+    except InvalidValueError:
+        return None
 
 
 def _lines(result: dict[str, Any]) -> list[str]:

@@ -18,8 +18,6 @@ from pm3dof_pin.cli.table import described
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import xarray as xr
-
     from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.figures.outlined_mesh import OutlinedMesh
     from pm3dof_pin.kinematics.grid import Grid
@@ -90,12 +88,12 @@ def stiffness_map(
     mapped = MappedRobot(loaded)
     with progress_bar("stiffness map") as progress:
         from pm3dof_pin.maps.datasets import write_map
-        from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
+        from pm3dof_pin.maps.grid_map import quantities_over, quantity_arrays
         from pm3dof_pin.maps.workspace_evaluation import stiffness_quantities
 
         quantities = (*stiffness_quantities(mapped), "first_frequency")
-        dataset = quantity_map(mapped, grid, quantities)
-        inside = int((dataset["broken_limits"] == 0).sum())
+        dataset = quantity_arrays(mapped, grid, quantities)
+        inside = int((dataset.data_vars["broken_limits"].values == 0).sum())
         _require_poses(f"over {' and '.join(grid.dims)} of {loaded.name}", inside, drawn=pictures)
         files = write_map(dataset, out / "stiffness_map")
         if pictures:
@@ -161,7 +159,7 @@ def _entries(dataset: Map) -> list[tuple[str, str, Any]]:
 
 
 def _draw(
-    dataset: xr.Dataset,
+    dataset: Map,
     robot: Robot,
     grid: Grid,
     exact: Callable[[Array], dict[str, Array]],
@@ -182,7 +180,7 @@ def _draw(
         entries = [entry for entry in entries if entry[1] not in ("middle", "greatest")]
     files = []
     for done, (name, label, index) in enumerate(entries, start=1):
-        if np.isfinite(dataset[name].values[index]).sum() >= _MIN_TO_DRAW:
+        if np.isfinite(dataset.data_vars[name].values[index]).sum() >= _MIN_TO_DRAW:
             path = out / f"stiffness_map_{f'{name}_{label}' if label else name}.png"
             figure = section_map(
                 dataset,
@@ -228,10 +226,10 @@ def _map_of_chapter(
             from pm3dof_pin.figures.section_map import section_map
             from pm3dof_pin.maps.chapter_workspace import tripod_space
 
-            dataset, within = section.dataset(), partial(tripod_space(tripod).within, level=z_e)
+            within = partial(tripod_space(tripod).within, level=z_e)
             for done, name in enumerate(names, start=3):
                 exact = None if machine else section_values(tripod, z_e, PICTURES[name])
-                files += save(section_map(dataset, PICTURES[name], within=within, exact=exact), out / name, formats)
+                files += save(section_map(section, PICTURES[name], within=within, exact=exact), out / name, formats)
                 progress(done, 2 + len(names))
         remove_former(out, JOB_PICTURES, files)
     (table, table_of_8_3), statistics = described(table_8_3(tripod, robot=machine)), _ranges(section)

@@ -115,11 +115,13 @@ def _row_space_and_complement(rows: Matrix) -> tuple[Matrix, Matrix]:
     Householder QR of rows^T with rows sorted by size and column pivoting: the rows of its result are accurate relative
     to their own size (A. Cox and N. Higham, 1998), for soft and stiff springs alike.
     """
+    count, size = rows.shape
+    if not count:
+        return np.eye(size)[:, :0], np.eye(size)
     from scipy.linalg import qr  # slow to load
 
-    count, size = rows.shape
     order = np.argsort(-np.abs(rows).max(axis=0, initial=0.0), kind="stable")
-    factor = qr(rows.T[order], pivoting=True)[0] if count else np.eye(size)
+    factor = qr(rows.T[order], pivoting=True)[0]
     basis = np.empty((size, size))
     basis[order] = factor
     return basis[:, :count], basis[:, count:]

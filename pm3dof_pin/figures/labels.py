@@ -14,6 +14,8 @@ from pm3dof_pin.typing import Array
 if TYPE_CHECKING:
     import xarray as xr
 
+    from pm3dof_pin.maps.datasets import Map
+
 _PREFIXES = {
     "m": ((0.1, 1.0, "m"), (1e-3, 1e-3, "mm"), (1e-7, 1e-6, "µm"), (0.0, 1e-9, "nm")),
     "rad": ((1.0, 1.0, "rad"), (1e-3, 1e-3, "mrad"), (0.0, 1e-6, "µrad")),
@@ -66,13 +68,12 @@ def in_words(name: str, value: float, unit: str, digits: int = 4) -> str:
     return f"{symbol(name)} = {value:z.{digits}f} {unit}".replace("-", "\N{MINUS SIGN}")
 
 
-def fixed_coordinates(dataset: xr.Dataset | xr.DataArray) -> dict[str, tuple[float, str]]:
+def fixed_coordinates(dataset: Map | xr.DataArray) -> dict[str, tuple[float, str]]:
     """Return value and unit of each coordinate of a map that does not vary."""
-    coordinates = {str(name): dataset[name] for name in dataset.coords}
     return {
-        name: (float(coordinate), str(coordinate.attrs["units"]))
-        for name, coordinate in coordinates.items()
-        if coordinate.ndim == 0 and "units" in coordinate.attrs
+        str(name): (float(coordinate.values), str(coordinate.attrs["units"]))
+        for name, coordinate in dataset.coords.items()
+        if not coordinate.dims and "units" in coordinate.attrs
     }
 
 

@@ -20,8 +20,6 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
-from scipy.spatial import Delaunay, KDTree, QhullError
 
 from pm3dof_pin.figures.color_scale import ColorScale, kinds_of
 from pm3dof_pin.figures.labels import drawn
@@ -56,6 +54,8 @@ class OutlinedMesh:
         Whole numbers stand for kinds, and points have that of the nearest pose.
         """
         if len(kinds_of(field)):
+            from scipy.spatial import KDTree  # slow to load
+
             pose = np.argwhere(np.isfinite(field))
             spans = [axis[-1] - axis[0] or 1.0 for axis in self.axes]
             places = np.column_stack([axis[index] for axis, index in zip(self.axes, pose.T, strict=True)])
@@ -63,7 +63,7 @@ class OutlinedMesh:
             return nearest
         filled, positive = np.where(np.isfinite(field), field, np.nan), bool(np.nanmin(field) > 0.0)
         filled = _extended(np.log(filled) if positive else filled, self.fillable)
-        found = np.asarray(_interpolator(self.axes, filled)(self.points))
+        found = _bilinear(self.axes, filled, self.points)
         low, high = np.nanmin(field), np.nanmax(field)
         margin = 0.1 * (high - low)
         # extrapolated values must stay near the computed range
@@ -83,7 +83,7 @@ class OutlinedMesh:
         filled = np.stack([_extended(field, self.fillable) for field in known], axis=-1)
         fine = [_subdivided(axis, 8 * (len(axis) - 1)) for axis in self.axes]
         places = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1)
-        return np.asarray(_interpolator(self.axes, filled)(places))
+        return _bilinear(self.axes, filled, places)
 
 
 def draw_map(
@@ -202,8 +202,8 @@ def _runs(ring: NDArray[np.intp], at_end: Mask) -> list[tuple[NDArray[np.intp], 
 def _triangles(points: Array, outlines: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
     """Triangulate points inside closed lines among them, shape=(t, 3)."""
     try:
-        found = Delaunay(points).simplices.astype(np.intp)
-    except (QhullError, ValueError):  # fewer than three points, or all in a line
+        found = Triangulation(*points.T).triangles.astype(np.intp)
+    except (RuntimeError, ValueError):  # fewer than three points, or all in a line
         return np.empty((0, 3), dtype=np.intp)
     corners = points[found]
     middles = corners.mean(axis=1)
@@ -227,15 +227,24 @@ def _divided(
     first, second = (_subdivided(a, (len(a) - 1) * max(1, -(-_CELLS // (len(a) - 1)))) for a in axes)
     reached = _extended(np.where(nodes, 0.0, np.nan), fillable)
     places = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1)
-    near = np.isfinite(_interpolator(axes, reached)(places.reshape(-1, 2)))
+    near = np.isfinite(_bilinear(axes, reached, places.reshape(-1, 2)))
     found = np.zeros(len(near), dtype=bool)
     found[near] = within(places.reshape(-1, 2)[near])
     return (first, second), found.reshape(places.shape[:2])
 
 
-def _interpolator(axes: tuple[Array, Array], field: Array) -> RegularGridInterpolator:
-    """Return a bilinear interpolator that tolerates points slightly outside due to rounding."""
-    return RegularGridInterpolator(axes, field, bounds_error=False, fill_value=None)
+def _bilinear(axes: tuple[Array, Array], field: Array, places: Array) -> Array:
+    """Interpolate a field, shape=(n, m, ...), at places, shape=(..., 2); NaN if a corner of the cell is."""
+    parts = []
+    for axis, along in zip(axes, np.moveaxis(places, -1, 0), strict=True):
+        cell = np.clip(np.searchsorted(axis, along, side="right") - 1, 0, len(axis) - 2)
+        parts.append((cell, (along - axis[cell]) / (axis[cell + 1] - axis[cell])))
+    (row, down), (column, across) = parts
+    down, across = (
+        np.expand_dims(part, tuple(range(part.ndim, part.ndim + field.ndim - 2))) for part in (down, across)
+    )
+    upper, lower = ((1.0 - across) * field[r, column] + across * field[r, column + 1] for r in (row, row + 1))
+    return np.asarray((1.0 - down) * upper + down * lower)
 
 
 def _extended(field: Array, fillable: Mask) -> Array:

@@ -48,7 +48,7 @@ from pm3dof_pin.maps.datasets import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from pm3dof_pin.maps.datasets import Map
 
 
 _ELEVATION, _AZIMUTH = 28.0, -55.0  # of the view of the surface [deg]
@@ -61,7 +61,7 @@ _LINES = 9  # grid lines drawn on the surface along each dimension
 
 
 def section_map(
-    section: xr.Dataset,
+    section: Map,
     variable: str,
     *,
     entry: str | None = None,
@@ -129,7 +129,7 @@ class _Sheet:
 
 
 def _sheet(
-    section: xr.Dataset,
+    section: Map,
     name: str,
     entry: str | None,
     within: Within | None,
@@ -138,22 +138,25 @@ def _sheet(
 ) -> _Sheet:
     if name not in section.data_vars:
         raise InvalidValueError("variable", name, f"one of {', '.join(map(str, section.data_vars))}")
-    variable = section[name]
-    own = [dim for dim in variable.dims if dim not in section[BROKEN_LIMITS].dims]
-    if entry is not None:
-        variable = variable.sel(dict.fromkeys(own, entry))
-    if variable.ndim != 2:
-        raise InvalidValueError("section", dict(section.sizes), "a map over two coordinates, one entry per pose")
-    values, attributes = np.where(np.isfinite(variable.values), variable.values, np.nan), variable.attrs
+    variable, broken = section.variables[name], section.variables[BROKEN_LIMITS]
+    across, attributes = [str(dim) for dim in variable.dims if dim in broken.dims], variable.attrs
+    index = [
+        slice(None) if dim in across or entry is None else list(section.variables[dim].values).index(entry)
+        for dim in map(str, variable.dims)
+    ]
+    values = variable.values[tuple(index)]
+    if values.ndim != 2:
+        sizes = dict(zip(variable.dims, variable.values.shape, strict=True))
+        raise InvalidValueError("section", sizes, "a map over two coordinates, one entry per pose")
+    values = np.where(np.isfinite(values), values, np.nan)
     if np.isfinite(values).sum() < 3:
         raise InvalidValueError(
             name, problem=f"has {np.isfinite(values).sum()} values", expected="at least three poses to draw"
         )
     factor, unit = display_unit(values, unit_of_entry(attributes["units"], entry or ""))
-    across = [str(dim) for dim in variable.dims]
-    units = [str(section[coordinate].attrs["units"]) for coordinate in across]
-    axes = [section[coordinate].values for coordinate in across]
-    excluded = section[BROKEN_LIMITS].transpose(*variable.dims).values != 0
+    units = [str(section.variables[coordinate].attrs["units"]) for coordinate in across]
+    axes = [section.variables[coordinate].values for coordinate in across]
+    excluded = np.transpose(broken.values, [broken.dims.index(dim) for dim in across]) != 0
     known = np.isfinite(values)
     if (key := known.tobytes()) not in meshes:
         meshes[key] = outlined_mesh(axes[0], axes[1], known, within, excluded)

@@ -138,7 +138,7 @@ class Branches:
     @cached_property
     def _usual(self) -> Vector:
         """The median magnitudes of the determinants, with their signs at the start."""
-        usual = np.median(np.abs([self._determinants(q) for q in self._nearby]), axis=0)
+        usual = np.quantile(np.abs([self._determinants(q) for q in self._nearby]), 0.5, axis=0)
         return np.asarray(usual * np.sign(self._determinants(self.start)))
 
     def _flips(self, determinants: Vector) -> list[bool]:
@@ -195,7 +195,7 @@ class Branches:
         """Whether home is well away from singular configurations, compared with configurations nearby."""
         if not self._robot.has_loops:
             return True
-        usual = np.median([self._regularity(q) for q in self._nearby], axis=0)
+        usual = np.quantile([self._regularity(q) for q in self._nearby], 0.5, axis=0)
         return bool((self._regularity(self._home.q) > _REGULAR * usual).all())
 
     def _regularity(self, q: Vector) -> Vector:

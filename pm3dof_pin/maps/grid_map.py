@@ -21,6 +21,8 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.datasets import (
     BROKEN_LIMITS,
+    NamedArray,
+    NamedArrays,
     coordinate_attributes,
     dataset_attributes,
     flag_variable,
@@ -53,16 +55,17 @@ _MAX_POSES = 200_000
 _CHAPTER = {"model": "error", "references": "D. Zhang, Parallel Robotic Machine Tools, Springer 2010, section 8.3"}
 
 
-def quantity_map(
-    mapped: MappedRobot,
-    grid: Grid,
-    quantities: Iterable[str],
-) -> xr.Dataset:
+def quantity_map(mapped: MappedRobot, grid: Grid, quantities: Iterable[str]) -> xr.Dataset:
     """Compute quantities over a grid, NaN where a pose breaks a limit or is out of reach.
 
     Raises:
         InvalidValueError: an unknown quantity, or one that the robot does not have.
     """
+    return quantity_arrays(mapped, grid, quantities).dataset()
+
+
+def quantity_arrays(mapped: MappedRobot, grid: Grid, quantities: Iterable[str]) -> NamedArrays:
+    """Compute the map of :func:`quantity_map` without loading xarray."""
     selected = select_quantities(quantities, mapped)
     poses = mapped.robot.solve(grid, on_failure="nan")
     evaluation = Evaluation(mapped, poses[poses.within_limits])
@@ -73,8 +76,9 @@ def quantity_map(
         variables[entry.name] = (tuple(dim.name for dim in entry.dims), entry.compute(evaluation), attributes)
         labels |= {dim.name: list(dim.labels(mapped)) for dim in entry.dims}
     title = f"Elastic behaviour of {mapped.robot.name} over {', '.join(grid.dims)}"
-    dataset = _grid_dataset(grid, poses, variables, title)
-    return dataset.assign_coords(labels).assign_attrs(model="elastic")
+    arrays = _grid_arrays(grid, poses, variables, title)
+    coordinates = {name: NamedArray((name,), np.array(own), {}) for name, own in labels.items()}
+    return NamedArrays(arrays.data_vars, {**arrays.coords, **coordinates}, arrays.attrs | {"model": "elastic"})
 
 
 def quantities_over(mapped: MappedRobot, grid: Grid, quantities: Iterable[str]) -> Callable[[Array], dict[str, Array]]:
@@ -115,7 +119,7 @@ def error_section(
         for name, (unit, long_name) in ERROR_VARIABLES.items()
     }
     title = f"First-order errors of {robot.name} over a section of its workspace"
-    dataset = _grid_dataset(grid, poses, variables, title)
+    dataset = _grid_arrays(grid, poses, variables, title).dataset()
     return dataset.assign_attrs(_CHAPTER, eta_m_per_rad=eta, distribution=distribution), result
 
 
@@ -184,7 +188,7 @@ def budget_map(
     poses, within = _poses_within_limits(robot, grid)
     budget = error_budget(sources, within, eta=eta, names=names)
     title = f"Errors of {robot.name} by all sources over {', '.join(grid.dims)}"
-    return _labelled(_grid_dataset(grid, poses, _fields(budget), title), eta), budget
+    return _labelled(_grid_arrays(grid, poses, _fields(budget), title).dataset(), eta), budget
 
 
 def _table(budget: ErrorBudget) -> xr.Dataset:
@@ -256,24 +260,23 @@ def _poses_within_limits(robot: Robot, grid: Grid) -> tuple[Poses, Poses]:
     return poses, poses[poses.within_limits]
 
 
-def _grid_dataset(grid: Grid, poses: Poses, variables: Mapping[str, _Variable], title: str) -> xr.Dataset:
-    """Return variables over a grid as a dataset, NaN beyond the limits, with `broken_limits` of its poses.
+def _grid_arrays(grid: Grid, poses: Poses, variables: Mapping[str, _Variable], title: str) -> NamedArrays:
+    """Return variables over a grid as a map, NaN beyond the limits, with `broken_limits` of its poses.
 
     Coordinates have their units; fixed ones are scalars.
     """
-    import xarray as xr
-
     robot, names = poses.robot, limit_names(poses.robot)
-    fields = {}
-    for name, (own_dims, values, variable_attributes) in variables.items():
-        fields[name] = ((*grid.dims, *own_dims), _spread(values, poses.within_limits), variable_attributes)
+    fields = {
+        name: NamedArray((*grid.dims, *own), _spread(values, poses.within_limits), own_attributes)
+        for name, (own, values, own_attributes) in variables.items()
+    }
     flags = flag_variable(grid.dims, poses.broken_limits, names, "limits that the pose breaks")
     coordinates = {
-        c.name: (
+        c.name: NamedArray(
             (c.name,) if c.name in grid.axes else (),
-            grid.axes.get(c.name, grid.fixed.get(c.name)),
+            np.asarray(grid.axes.get(c.name, grid.fixed.get(c.name))),
             coordinate_attributes(c.name, c.unit, robot.name),
         )
         for c in grid.coordinates
     }
-    return xr.Dataset({**fields, BROKEN_LIMITS: flags}, coords=coordinates, attrs=dataset_attributes(title, robot.name))
+    return NamedArrays({**fields, BROKEN_LIMITS: flags}, coordinates, dataset_attributes(title, robot.name))

@@ -109,7 +109,7 @@ def _system(equations: Sequence[LoopEquations], members: tuple[int, ...], unknow
     if not 0 < columns <= rows or not samples:
         return LoopSystem(members, unknowns, False, None)
     singular = np.linalg.svd(matrices, compute_uv=False)
-    is_determined = bool(np.median(singular[:, -1]) > RANK * np.median(singular[:, 0]))
+    is_determined = bool(np.quantile(singular[:, -1], 0.5) > RANK * np.quantile(singular[:, 0], 0.5))
     return LoopSystem(members, unknowns, is_determined, _essential_rows(matrices) if is_determined else None)
 
 

@@ -14,7 +14,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.capability.tool_capability import ToolCapability
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.typing import Array, Motion
@@ -77,8 +76,7 @@ def tool_polytope(at: ToolCapability, of: PolytopeQuantity, kind: Motion) -> Dra
         if len(corners) <= axes.shape[1]:
             raise InvalidValueError("effort", at.effort.tolist(), "enough to hold the weight")
     else:
-        rates = Polytopes.from_inequalities(at.drive_rates, -at.speed, at.speed).vertices()
-        corners = rates @ at.tool_rates[rows].T @ axes
+        corners = at.velocities(rows) @ axes
     return _hull(corners, axes, unit)
 
 

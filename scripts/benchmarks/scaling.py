@@ -32,6 +32,7 @@ _OUT_OF_HAND = 3.0  # times the seconds allowed, after which a command is ended
 
 COMMANDS: dict[str, tuple[str, ...]] = {
     "info": ("info",),
+    "ik": ("ik", "--configuration", "home"),
     "fk": ("fk", "--configuration", "home"),
     "stiffness": ("stiffness", "--configuration", "home"),
     "statics": ("statics", "--configuration", "home"),
@@ -46,6 +47,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "measure": ("measure", "--poses", "100", "--out", "measured.csv"),
     "calibrate": ("calibrate", "measured.csv", "--method", "lm", "--out", "calibrated"),
     "export": ("export", "mjcf", "--out", "exported"),
+    "view": ("view", "--html", "page.html"),
 }
 
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
@@ -41,7 +40,7 @@ def place(tmp_path_factory: pytest.TempPathFactory, answer: Answer) -> Path:
     options = ("--method", "lm+gp", "--out", "calibration", "--format", "png")
     with pytest.MonkeyPatch.context() as patch:  # pictures are files here, and painted in other tests
         patch.setattr(report, "html_image", lambda figure, text: f"<p>{text}</p>")
-        patch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
+        patch.setattr("pm3dof_pin.figures.style._paint", lambda figure, path, *_: path.touch())
         calibrated = answer("calibrate", "m.csv", *options, cwd=folder)
     assert calibrated["directory"] == "calibration"
     pictures = {file.stem for file in (folder / "calibration").glob("*.png")}

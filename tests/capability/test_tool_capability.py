@@ -12,6 +12,7 @@ import pytest
 from scipy.optimize import linprog
 
 import pm3dof_pin as pm
+from pm3dof_pin.capability.tool_capability import ToolCapability
 from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.exceptions import InvalidValueError
 
@@ -92,6 +93,26 @@ def test_unknown_limits_are_named() -> None:
     at = pm.tool_capability(robot, robot.home)
     with pytest.raises(InvalidValueError, match=r"speed of left_motor"):
         at.greatest_twist(np.eye(6)[0])
+
+
+@pytest.mark.parametrize("flat", [False, True], ids=["in space", "in a plane"])
+def test_velocities_of_36_drives_are_a_zonotope(flat: bool) -> None:
+    """Their box of rates has 2^36 corners. The support of a zonotope is the sum over drives; 36 + 35 + .. facets."""
+    rates, speed = np.random.default_rng(2).normal(size=(6, 36)), np.linspace(0.5, 1.5, 36)
+    rates[2] *= not flat
+    drives, nothing = tuple(f"drive{k}" for k in range(36)), np.zeros(36)
+    at = ToolCapability(drives, rates, np.eye(36), nothing, np.ones(36), speed)
+    corners = at.velocities(slice(0, 3))
+    assert len(corners) == (2 * 36 if flat else 36 * 35 + 2)
+    for direction in np.random.default_rng(3).normal(size=(20, 3)):
+        assert (corners @ direction).max() == pytest.approx(np.abs(direction @ rates[:3]) @ speed)
+
+
+def test_velocities_of_many_redundant_drives_are_refused() -> None:
+    drives, rates = tuple(f"drive{k}" for k in range(14)), np.ones((6, 12))
+    at = ToolCapability(drives, rates, np.ones((14, 12)), np.zeros(12), np.ones(14), np.ones(14))
+    with pytest.raises(InvalidValueError, match="14 drives for 12 freedoms"):
+        at.velocities(slice(0, 3))
 
 
 def test_the_command(answer: Callable[..., Any]) -> None:
