@@ -333,3 +333,28 @@ def test_a_shape_without_size_has_no_inertia(tmp_path: Path) -> None:
     path.write_text(STANDING.replace('type="capsule" size="0.03"', 'type="capsule" size="0"', 1), encoding="utf-8")
     with pytest.raises(DescriptionError, match="a capsule without size has no inertia"):
         Robot.load(path)
+
+
+def test_what_an_equality_holds_is_neither_driven_nor_followed(tmp_path: Path) -> None:
+    """An equality of one joint, its follower's, and a quaternion of zeros, which MuJoCo takes for none."""
+    body = '<body name="{0}" pos="0 0 0.1"><joint name="{0}" axis="0 1 0"/><geom size="0.1"/>'
+    text = (
+        '<mujoco><compiler angle="radian"/><worldbody>'
+        + "".join(map(body.format, "abc"))
+        + '</body></body></body><body name="cup"><freejoint/><geom size="0.1"/></body></worldbody><equality>'
+        '<joint joint1="b" joint2="a" polycoef="0.1 2 0.5 0 0"/><joint joint1="a" polycoef="0.3 0 0 0 0"/></equality>'
+        '<actuator><motor joint="a"/><motor joint="c"/></actuator>'
+        '<keyframe><key name="home" qpos="0.3 0.745 0 1 2 3 0 0 0 0"/></keyframe></mujoco>'
+    )
+    robot, model = _load(tmp_path, text)
+    assert robot.actuated_joints == ("c",)
+    assert robot.couplings == ()
+    assert robot.model.nv == 1 + 6
+    assert [str(entry) for entry in robot.description.unread if "which an equality holds" in entry.reason]
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    for name in ("b", "c", "cup"):
+        placed = robot.home.frame_placement(name)
+        np.testing.assert_allclose(placed.translation, data.body(name).xpos, atol=1e-12)
+        np.testing.assert_allclose(placed.rotation, data.body(name).xmat.reshape(3, 3), atol=1e-12)

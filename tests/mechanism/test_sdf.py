@@ -204,6 +204,23 @@ def test_a_damaged_file_is_one_error(tmp_path: Path, old: str, new: str, said: s
         Robot.load(_written(tmp_path, FOUR_BAR.replace(old, new, 1)))
 
 
+@pytest.mark.parametrize("none", ["-inf", "-1.79769e+308", "-1e16"])
+def test_infinite_limits_are_none(tmp_path: Path, none: str) -> None:
+    limit = f"<limit><lower>{none}</lower><upper>{none[1:]}</upper><effort>inf</effort></limit>"
+    text = CHAIN.replace("<xyz>0 0 1</xyz>", f"<xyz>0 0 1</xyz>{limit}")
+    joint = Robot.load(_written(tmp_path, text)).description.joint("j_b")
+    assert (joint.lower, joint.upper, joint.effort) == (None, None, None)
+
+
+def test_a_joint_of_links_that_do_not_move_to_each_other_closes_nothing(tmp_path: Path) -> None:
+    twice = '<link name="lid"/>' + "".join(
+        f'<joint name="{name}" type="fixed"><parent>ground</parent><child>lid</child></joint>' for name in "ab"
+    )
+    robot = Robot.load(_written(tmp_path, FOUR_BAR.replace("</model>", f"{twice}</model>")))
+    assert len(robot.closures) == 1
+    assert any("do not move to each other" in entry.reason for entry in robot.description.unread)
+
+
 def test_models_of_a_world_are_one_robot(tmp_path: Path) -> None:
     """Each is held at its first link unless a joint holds it; the names are those that SDF gives nested models."""
     model = FOUR_BAR.partition('<sdf version="1.8">')[2].removesuffix("</sdf>")

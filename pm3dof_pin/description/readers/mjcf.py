@@ -30,6 +30,7 @@ from pm3dof_pin.description.description import (
     JointType,
     Placement,
     Shape,
+    Unread,
 )
 from pm3dof_pin.description.inertia_checks import inertia_matrix, inertia_problem, is_reversed
 from pm3dof_pin.description.mesh_files import read_meshes
@@ -130,6 +131,10 @@ class _MjcfReader(ElementReader):
         couplings, fixed = self._couplings()
         closures = self._closures()
         drives, tendon_parts = self._drives(couplings)
+        for drive in (drive for drive in drives if drive.joint in fixed):
+            said = f"drives joint '{drive.joint}', which an equality holds"
+            self.unread.append(Unread(f"<actuator> '{drive.name}'", drive.origin, said))
+        drives = tuple(drive for drive in drives if drive.joint not in fixed)
         springs = self._springs(couplings, tendon_parts)
         description = Description(
             root.get("model") or document.path.stem,
@@ -643,7 +648,27 @@ class _MjcfReader(ElementReader):
                 couplings.append(Coupling.from_powers(names[0], names[1], shifted, given.origin))
             else:
                 held[names[0]] = zeros[names[0]] + powers[0]
-        return couplings, held
+        return self._without_held(couplings, held), held
+
+    @staticmethod
+    def _without_held(couplings: list[Coupling], held: dict[str, float]) -> list[Coupling]:
+        """Return the couplings without joints that are held; joints that follow only such ones are held too."""
+        pending, left = list(couplings), list[Coupling]()
+        while pending:
+            coupling = pending.pop(0)
+            free = [name for name in coupling.joints if name not in held]
+            if len(free) == len(coupling.joints):
+                left.append(coupling)
+                continue
+            offset = coupling.value([held.get(name, 0.0) for name in coupling.joints])
+            if free:
+                powers = dict(zip(coupling.joints, coupling.coefficients, strict=True))
+                coefficients = tuple(powers[name] for name in free)
+                left.append(Coupling(coupling.joint, tuple(free), coefficients, offset, coupling.origin))
+            elif coupling.joint not in held:
+                held[coupling.joint] = offset
+                pending, left = [*left, *pending], []
+        return left
 
     @staticmethod
     def _held(joint: Joint, held: dict[str, float]) -> Joint:
@@ -815,9 +840,7 @@ class _MjcfReader(ElementReader):
                 start += len(own)
                 if len(own) > 1:  # MuJoCo's quaternions begin with w
                     w, x, y, z = part[-4:]
-                    if not math.hypot(w, x, y, z):
-                        raise key.origin.error(f"{named(key)}: qpos", "expected nonzero quaternions")
-                    part = (*part[:-4], x, y, z, w)
+                    part = (*part[:-4], x, y, z, w if math.hypot(w, x, y, z) else 1.0)  # as MuJoCo completes it
                 if joint.name not in held:
                     values[joint.name] = part
             named_configurations[name] = values

@@ -62,6 +62,7 @@ _CLOSURES: dict[str, ClosureTypeName] = {
 }  # fmt: skip
 _KEPT_FIRST = {"fixed": 0, "screw": 1, "revolute2": 1, "universal": 4, "ball": 5}  # 2 if driven, 3 otherwise
 _UNLIMITED = 1e15  # limits at least this large are none
+_LIMIT = Bounds("", math.inf, negative=True)
 _SIZES: dict[str, tuple[ShapeKind, tuple[tuple[str, int], ...]]] = {
     "box": ("box", (("size", 3),)),
     "cylinder": ("cylinder", (("radius", 1), ("length", 1))),
@@ -148,7 +149,7 @@ class _SdfReader(ElementReader):
             raise model.origin.error(named(model), "has no links, expected some")
         tree, cut = self._spanning_tree(edges, {drive.joint for drive in drives})
         joints = [joint for edge, is_reversed in tree for joint in self._joints(edge, reverse=is_reversed)]
-        closure_frames, closures = self._closures(cut)
+        closure_frames, closures = self._closures(cut, tree)
         couplings = [c for edge in edges for c in self._mimic(edge, {joint.name for joint in joints})]
         frames = [
             Frame(name, self._link_of(name), Placement.from_se3(self._in(self._link_of(name), name)), element.origin)
@@ -424,15 +425,12 @@ class _SdfReader(ElementReader):
         parent, other = (edge.child, edge.parent) if reverse else (edge.parent, edge.child)
         axis = child(element, "axis")
         limit, dynamics = child(axis, "limit"), child(axis, "dynamics")
-        bounds = [
-            self._value(limit, key, ANY, f"{place}: limit", sign * math.inf)
-            for key, sign in (("lower", -1), ("upper", 1))
-        ]
+        bounds = [self._limit(limit, key, place, sign * math.inf) for key, sign in (("lower", -1), ("upper", 1))]
         if bounds[0] > bounds[1]:
             assert limit is not None
             raise limit.origin.error(f"{place}: limit", f"expected lower <= upper, not {bounds[0]:g} and {bounds[1]:g}")
         lower, upper = (None if abs(bound) >= _UNLIMITED else bound for bound in bounds)
-        effort, velocity = (self._value(limit, key, ANY, f"{place}: limit", -1.0) for key in ("effort", "velocity"))
+        effort, velocity = (self._limit(limit, key, place, -1.0) for key in ("effort", "velocity"))
         is_limited = edge.kind in ("revolute", "prismatic", "screw")
         kind = _JOINT_TYPES.get(edge.kind, "revolute")
         sign = -1.0 if reverse else 1.0
@@ -464,6 +462,13 @@ class _SdfReader(ElementReader):
         return [
             replace(hinge, axis=tuple(sign * x + 0.0 for x in axis)) for hinge, axis in zip(hinges, axes, strict=True)
         ]
+
+    def _limit(self, limit: Element | None, key: str, place: str, default: float) -> float:
+        """Return a limit, which may be infinite or the greatest number of C++ if there is none."""
+        text = self._text(limit, key).lower().lstrip("+")
+        if text in ("inf", "-inf", "infinity", "-infinity"):
+            return float(text)
+        return self._value(limit, key, _LIMIT, f"{place}: limit", default)
 
     @staticmethod
     def _placed(placement: pin.SE3) -> Placement:
@@ -516,11 +521,19 @@ class _SdfReader(ElementReader):
             raise self.root.origin.error("<model>", f"no joint connects '{lost[0]}' to '{root}': expected one tree")
         return tree, [edge for edge in edges if edge in cut]
 
-    def _closures(self, cut: list[_Edge]) -> tuple[list[Frame], list[LoopClosure]]:
+    def _closures(self, cut: list[_Edge], tree: list[tuple[_Edge, bool]]) -> tuple[list[Frame], list[LoopClosure]]:
         frames, closures = [], []
+        part = {name: name for name in self.bodies}  # the highest body that fixed joints connect to each
+        for edge, is_turned in tree:
+            if edge.kind == "fixed":
+                upper, lower = (edge.child, edge.parent) if is_turned else (edge.parent, edge.child)
+                part[lower] = part[upper]
         for edge in cut:
             if edge.kind not in _CLOSURES:
                 self.refuse(edge.element, f"a loop cannot be closed by a {edge.kind} joint")
+                continue
+            if part[edge.parent] == part[edge.child]:
+                self.read_over(edge.element, "joins links that do not move to each other")
                 continue
             names = []
             for body, end in ((edge.parent, "parent"), (edge.child, "child")):
