@@ -8,6 +8,15 @@ ROUNDING = 1e-12
 SOLVED = 1e-9
 """What a solved system of equations may leave: loops closed to 1e-12 of the machine, and a condition number of 1000."""
 
+SAME = SOLVED
+"""Numbers that differ by less are the same [m, rad, relative]: solved systems leave this, files have fewer digits."""
+
+SIGN = 1e-9
+"""Determinants up to this, relative to the usual one, have no sign: their factors are singular values down to 1e-3."""
+
+LAST_DIGITS = 1e-15
+"""Numbers of size one that differ by less are the same but for the last digits of sines, cosines and decimal files."""
+
 MASSLESS = 1e-13
 """Motions of less 1 / omega^2 than this are massless: the squares of frequencies a thousand times ROUNDING's."""
 

@@ -20,10 +20,10 @@ from pm3dof_pin.errors.pose_error import pose_difference, tip_weights, weighted_
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _FOLDS = 5
-_SAME_POINT = 1e-9  # [m]
 _MOVED = 0.01  # [m, rad]: farther than a machine's errors move its base
 _UNSEEN = 1e-9  # relative size of motions of base and tool that no measurement shows
 _FLOOR_SEEN = 1e-3  # full poses show all directions, but near a singular pose a useful one can be tiny
@@ -103,7 +103,7 @@ class HeldOut:
             parts.append(_scores_of(compensation, found.settle(part), calibration.compensation))
             starts.append(hidden[part.first_rows])
         units = [command.unit for command in errors.robot.commands]
-        scores = _Scores.joined(parts)[np.argsort(np.concatenate(starts))].that_show_the_tool()
+        scores = _Scores.joined(parts)[np.argsort(np.concatenate(starts))].with_visible_tool()
         seen = (scores.missed, scores.covariances, scores.shown, scores.control, units)
         return _together(calibration, rows, scores, Scatter.from_errors(*seen), Scatter.from_errors(*seen, least=1.0))
 
@@ -118,7 +118,7 @@ class HeldOut:
         settled, moved = _of_their_own_station(calibration, measurements)
         scores = _scores_of(compensation, settled, compensation)
         scatter = compensation.scatter
-        judged = _together(calibration, np.arange(len(settled)), scores.that_show_the_tool(), scatter, scatter)
+        judged = _together(calibration, np.arange(len(settled)), scores.with_visible_tool(), scatter, scatter)
         return replace(judged, notes=(*notes, *moved))
 
 
@@ -131,7 +131,7 @@ def _of_known_targets(found: Identification, measurements: Measurements) -> tupl
         place = f"target ({millimetres(point)}) mm"
         distances = np.linalg.norm(known - point, axis=1)
         nearest, distance = (int(distances.argmin()), float(distances.min())) if len(known) else (0, np.inf)
-        if _SAME_POINT < distance <= sigma:
+        if SAME < distance <= sigma:
             points[(points == point).all(axis=1)] = known[nearest]
             notes.append(
                 f"{place} is taken for that of the calibration {1e3 * distance:.3g} mm away, as its place was known to "
@@ -194,7 +194,7 @@ class _Scores:
     def joined(cls, parts: Sequence[_Scores]) -> _Scores:
         return cls(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
-    def that_show_the_tool(self) -> _Scores:
+    def with_visible_tool(self) -> _Scores:
         """Return the visits that show something of the tool; all of them if none does."""
         seen = np.asarray(self.shown.any(axis=(1, 2)))
         return self[seen] if seen.any() else self

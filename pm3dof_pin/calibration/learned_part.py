@@ -15,9 +15,8 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array
-
-_SAME = 1e-9
 
 
 def fitted_model(method: str, inputs: Array, deviations: Array, variances: Array, seed: int) -> LearnedModel:
@@ -63,7 +62,7 @@ class InputScale:
         """Return the measured range of each condition that has a value outside it, by name."""
         found = {}
         for name, (least, most) in self.ranges.items():
-            slack = _SAME * (most - least)
+            slack = SAME * (most - least)
             if name in conditions and np.any((conditions[name] < least - slack) | (conditions[name] > most + slack)):
                 found[name] = (least, most)
         return found

@@ -37,6 +37,7 @@ from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.instruments.table import placed_instrument
 from pm3dof_pin.measuring.observation import touching_poses
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Indices, Mask
 
 logger = logging.getLogger(__name__)
@@ -54,7 +55,6 @@ TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)
 SEEDS = range(10)
 
 _TESTS = 300
-_WITHIN = 1e-9  # of declared ranges [m, rad]
 _BEYOND = 1.5  # see MACHINES
 _ROUNDS = 8  # of replacing poses at which some machine cannot be assembled
 _USUAL = 1.2  # times the median sensitivity: poses below it are never left out for being as sensitive as another
@@ -255,7 +255,7 @@ def plan_measurements(
 def _declared(poses: Poses) -> Poses:
     """Return the poses within the declared ranges of the coordinates, or all if none is."""
     lower, upper = np.array([poses.robot.range_of(coordinate) for coordinate in poses.robot.coordinates]).T
-    within = ((poses.coordinates >= lower - _WITHIN) & (poses.coordinates <= upper + _WITHIN)).all(axis=1)
+    within = ((poses.coordinates >= lower - SAME) & (poses.coordinates <= upper + SAME)).all(axis=1)
     return poses[within] if within.any() else poses
 
 

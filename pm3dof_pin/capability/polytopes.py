@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Matrix
 
 _PARALLEL = 1e-10  # relative length of a normal to generators that are linearly dependent
 _UNFELT = 1e-9  # cosine of a direction and a normal at right angles, of descriptions with ten digits
 _AT_ONCE = 1_000_000  # numbers of generators whose normals are found together
-_SAME = 1e-9  # relative distance of vertices that are one
 
 MOST_FACETS = 100_000
 """Most pairs of facets of the image of a box: 28 drives of a body in space have 98,280."""
@@ -223,12 +223,12 @@ def _vertices(normals: Matrix, offsets: Array) -> Matrix:
         return np.zeros((0, dimensions))
     if found.status != 0 or np.linalg.matrix_rank(normals) < dimensions:
         raise InvalidValueError("polytope", "unbounded", "finite limits of all drives that matter")
-    if found.x[-1] <= _SAME:  # flat: gravity leaves no room
+    if found.x[-1] <= SAME:  # flat: gravity leaves no room
         return np.asarray(size * found.x[None, :-1])
     corners = HalfspaceIntersection(np.hstack([normals, -offsets[:, None] / size]), found.x[:-1]).intersections
     if not np.isfinite(corners).all():
         raise InvalidValueError("polytope", "unbounded", "finite limits of all drives that matter")
-    _, first = np.unique(np.round(corners / _SAME), axis=0, return_index=True)
+    _, first = np.unique(np.round(corners / SAME), axis=0, return_index=True)
     return np.asarray(size * corners[np.sort(first)])
 
 

@@ -28,9 +28,9 @@ from pm3dof_pin.kinematics.pose_file import readings
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array
 
-_SAME = 1e-9  # greatest difference between tool positions [m]
 _PATH = "path"
 _SIGNS = {"+": 1.0, "-": -1.0, "1": 1.0, "+1": 1.0, "-1": -1.0, "0": 0.0}
 _TRIED = 0.01  # motion of a drive [characteristic lengths, rad]
@@ -157,12 +157,12 @@ def require_calibration_of(asked: Robot, machine: Robot, calibration: Path) -> N
 def _moves_alike(one: Robot, other: Robot) -> bool:
     """Tell whether two robots have the same drives, and the same tool positions at commands around home."""
     drives = [[(command.name, command.unit) for command in robot.commands] for robot in (one, other)]
-    if drives[0] != drives[1] or not np.allclose(one.home.commands, other.home.commands, rtol=0.0, atol=_SAME):
+    if drives[0] != drives[1] or not np.allclose(one.home.commands, other.home.commands, rtol=0.0, atol=SAME):
         return False
     steps = _TRIED * coordinate_scales(other, other.command_coordinates)
     commands = other.home.commands + np.vstack([np.zeros(len(steps)), np.diag(steps)])
     places = [robot.forward(commands, on_failure="nan", engine="pinocchio").transforms for robot in (one, other)]
-    return bool(np.allclose(places[0], places[1], rtol=0.0, atol=_SAME, equal_nan=True))
+    return bool(np.allclose(places[0], places[1], rtol=0.0, atol=SAME, equal_nan=True))
 
 
 def _completed(compensation: Compensation, given: Conditions) -> Conditions:

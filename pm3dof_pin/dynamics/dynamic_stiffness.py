@@ -20,13 +20,12 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.dynamics.damping import Damping
 from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
+from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.tolerances import MASSLESS
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
-_PROGRAM_FROM = 200  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
 _MODES = 12  # lowest natural modes around which frequencies are chosen
 _MIN_RATIO = 1e-3  # of damping, by which frequencies of undamped modes are spread
 _SPREAD = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 2.0, 4.0])  # dampings from a natural frequency
@@ -93,7 +92,7 @@ def dynamic_stiffness(
         (3, len(TOOL_COMPONENTS)),
         program=program,
         reference=reference,
-        program_from=_PROGRAM_FROM,
+        program_from=PROGRAM_FROM,
         **options,
     ).values
     return DynamicStiffness(values[..., 0, :], values[..., 1, :], values[..., 2, :])

@@ -13,7 +13,7 @@ from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.jacobians import MotionName, Rate, ReferenceMotions, motion_rates, recorded_motions
-from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
+from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -30,8 +30,6 @@ from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 _NO_MASS = 1e-15
 """Idle motions of less mass than this, relative to that of all bodies times the length squared, are massless."""
-
-_PROGRAM_FROM = 200  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +93,7 @@ def motion_dynamics(
         (m * (m + 1),),
         program=program,
         reference=reference,
-        program_from=_PROGRAM_FROM,
+        program_from=PROGRAM_FROM,
         **options,
     ).values
     inertia = values[..., : m * m].reshape(*values.shape[:-1], m, m)

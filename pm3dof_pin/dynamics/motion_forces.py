@@ -9,13 +9,11 @@ import pinocchio as pin
 
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
-from pm3dof_pin.kinematics.pose_values import evaluate_at
+from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
-
-_PROGRAM_FROM = 200  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +52,7 @@ def drive_motions(robot: Robot, poses: Poses) -> DriveMotions:
         (nv + 6, drives),
         program=program,
         reference=reference,
-        program_from=_PROGRAM_FROM,
+        program_from=PROGRAM_FROM,
         on_failure="nan",
     ).values
     return DriveMotions(frozen(found[:, :nv]), frozen(found[:, nv:]))

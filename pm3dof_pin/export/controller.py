@@ -25,6 +25,7 @@ from pm3dof_pin.programs.checks import checks_program
 from pm3dof_pin.programs.closing import Task, regularity_and_mode
 from pm3dof_pin.programs.readings import readings_program
 from pm3dof_pin.programs.walk import REACHED, Walk, acceptance_program
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Matrix, Vector
 
 Deviations = Callable[[Matrix], Array]
@@ -35,7 +36,6 @@ _NODES = {1: 65, 2: 33, 3: 17}  # per drive of a table, by the number of drives
 _TRIALS = 2000  # random commands at which a table is compared with its function
 _SEED = 0
 _NEAR = 0.05  # distance of golden poses from home, where limits leave hardly any [rad, characteristic lengths]
-_SAME = 1e-9  # greatest difference between ways to compute a golden pose [m, rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +210,8 @@ class Controller:
             targets = self.targets(coordinates, np.where(sound[:, None], given, 0.0)[:, self._placing_of(coordinates)])
             ends, status = walk.evaluate(self._starts(model, len(targets)), targets, numbers)
             read = self.programs["readings"].evaluate(ends, numbers)
-            same = np.abs(self._coordinates(read) - values).max(axis=1) < _SAME
-            sound &= (status == REACHED) & same & (np.abs(self._commands(read) - poses.commands).max(axis=1) < _SAME)
+            same = np.abs(self._coordinates(read) - values).max(axis=1) < SAME
+            sound &= (status == REACHED) & same & (np.abs(self._commands(read) - poses.commands).max(axis=1) < SAME)
         golden: Matrix = np.hstack([values, poses.commands])[sound]
         return golden
 

@@ -24,6 +24,7 @@ from pm3dof_pin.export.robot_document import RobotDocument, read_robot
 from pm3dof_pin.export.xml_text import document_text, number_text
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.robot import LoadOptions, Robot
+from pm3dof_pin.tolerances import SAME
 
 DIALECTS = {".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf", ".sdf": "sdf"}
 """The dialect of a file by its suffix; "drake" is another with the suffix .urdf."""
@@ -46,7 +47,6 @@ _DRIVE_NUMBERS = (
     "control_gain",
     "force_range",
 )
-_EQUAL = 1e-9  # relative difference of numbers that count as kept
 
 
 @dataclass(frozen=True)
@@ -203,11 +203,11 @@ def _losses(document: RobotDocument, file: Path, zeros: Mapping[str, float]) -> 
     yield from _lost_numbers(document.description, again.description, zeros)
     if robot.tool_frame is not None and again.tool_frame is not None and robot.springs and again.springs:
         before, after = (np.asarray(compliance(which, which.at([which.home.q]))) for which in (robot, again))
-        if not np.allclose(before, after, rtol=0.0, atol=_EQUAL * float(np.abs(before).max())):
+        if not np.allclose(before, after, rtol=0.0, atol=SAME * float(np.abs(before).max())):
             yield "the stiffness at home is another"
     if robot.tool_frame is not None and again.tool_frame is not None:
         moved = np.abs(robot.home.tool_placement.homogeneous - again.home.tool_placement.homogeneous).max()
-        if moved > _EQUAL:
+        if moved > SAME:
             yield f"the tool at home moves by {moved:.2g} m or rad"
 
 
@@ -220,7 +220,7 @@ def _lost_numbers(description: Description, again: Description, zeros: Mapping[s
             continue
         for key in _JOINT_NUMBERS if joint.is_single else ():
             before, after = _number(joint, key, zeros.get(joint.name, 0.0)), _number(other, key, 0.0)
-            if not np.isclose(before, after, rtol=_EQUAL, atol=_EQUAL):
+            if not np.isclose(before, after, rtol=SAME, atol=SAME):
                 yield f"{key} of {joint.name}: {getattr(joint, key)}"
     drives = {drive.joint: drive for drive in again.drives}
     for drive in description.drives:

@@ -9,9 +9,9 @@ import numpy as np
 from pm3dof_pin.export.template import one_line
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Matrix, Vector
 
-_SAME = 1e-9  # greatest difference of a hexapod's struts from those of genhexkins [m]
 _POSES, _SEED = 12, 1
 
 
@@ -69,6 +69,6 @@ def _struts(robot: Robot) -> tuple[Matrix, Matrix, Vector] | None:
     points = np.einsum("nij,kj->nki", poses.rotations, moving) + poses.positions[:, None]
     scales = np.array([c.scale for c in robot.commands])
     extra = np.linalg.norm(points - fixed, axis=-1) - poses.commands * np.sign(scales)
-    if np.ptp(extra, axis=0).max() > _SAME or (scales < 0.0).any():
+    if np.ptp(extra, axis=0).max() > SAME or (scales < 0.0).any():
         return None
     return fixed, moving, extra.mean(axis=0)

@@ -29,13 +29,13 @@ from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, LoopSystem, connected, split, stacked
 from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
+from pm3dof_pin.tolerances import SIGN
 from pm3dof_pin.typing import Matrix, Vector
 
 _SAMPLES = 8
 _DISTANCE = 0.1  # of samples from home [rad, characteristic lengths]
 _TRIALS = 10
 _REGULAR = 1e-3  # least singular value at a regular home, relative to the usual one nearby
-_SIGN = 1e-9  # determinants up to this, relative to the usual one, have no sign
 
 _KEPT = "_branches"
 
@@ -143,7 +143,7 @@ class Branches:
 
     def _flips(self, determinants: Vector) -> list[bool]:
         usual = self._usual
-        return [bool(d * np.sign(u) < -_SIGN * abs(u)) for d, u in zip(determinants, usual, strict=True)]
+        return [bool(d * np.sign(u) < -SIGN * abs(u)) for d, u in zip(determinants, usual, strict=True)]
 
     def _determinants(self, q: Vector) -> Vector:
         equations = self._equations(q)

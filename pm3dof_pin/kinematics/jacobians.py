@@ -22,7 +22,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, Tool
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
-from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
+from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -44,7 +44,6 @@ MotionName: TypeAlias = Literal["coordinates", "commands", "joints", "tool"] | s
 frame (its twist), or names of joints, coordinates and commands."""
 
 _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-_PROGRAM_FROM = 200  # poses; for fewer, Pinocchio takes no longer than recording and compiling a program
 
 _logger = logging.getLogger(__name__)
 
@@ -125,7 +124,7 @@ def jacobian(
 
     size = k * m * (1 + m * with_derivatives)
     values = evaluate_at(
-        robot, poses, "Jacobian", (size,), program=program, reference=reference, program_from=_PROGRAM_FROM, **options
+        robot, poses, "Jacobian", (size,), program=program, reference=reference, program_from=PROGRAM_FROM, **options
     ).values
     batch = values.shape[:-1]
     names = [tuple(rate.name for rate in rates) for rates in (rows, columns)]

@@ -1,4 +1,4 @@
-"""Values at many poses: from a compiled program, and by the careful method where that is in doubt."""
+"""Values at many poses: from a compiled program, and by the reference where that is in doubt."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
+
+PROGRAM_FROM = 200
+"""Number of poses for fewer of which Pinocchio takes no longer than recording and compiling most programs."""
 
 _logger = logging.getLogger(__name__)
 

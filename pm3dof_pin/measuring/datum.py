@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.errors.pose_error import rotation_matrix
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _MAX_ROUNDS = 50
 _SETTLED = 1e-12  # [m, rad]
-_TWIST = ("x", "y", "z", "rx", "ry", "rz")
 _DAMPING, _FASTER = 1e-12, 100.0
 
 
@@ -148,7 +148,7 @@ class Datum:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters of its placement."""
-        return tuple(f"{self.kind.name}{self.number}.{_TWIST[k]}" for k in self.kind.moves)
+        return tuple(f"{self.kind.name}{self.number}.{TOOL_COMPONENTS[k]}" for k in self.kind.moves)
 
     def __getitem__(self, chosen: Indices) -> Datum:
         """Return the datum for some rows."""

@@ -25,6 +25,7 @@ from pm3dof_pin.measuring.instrument import ENCODER_ZERO, Instrument
 from pm3dof_pin.measuring.instruments.table import datum_kinds
 from pm3dof_pin.measuring.measurements import Measurements, joint_coordinates
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Indices, Mask
 
 TARGET_POINT_SIGMA = 1e-3
@@ -38,7 +39,6 @@ _DISTANCE, _DISTANCE_SIGMA = "distance_m", "sigma_distance_m"
 _ORIGIN = ("cx_m", "cy_m", "cz_m")
 _TIME, _STATION, _ENCODER = "time_s", "station", "encoder_"
 
-_SAME = 1e-9
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 _MIN_SIGMA = 1e-12  # [m, rad]
 _FAR_LESS = 1e-3  # relative to the other sigmas of a column: such a row would outweigh all others
@@ -461,12 +461,12 @@ class _Reader:
         places = np.hstack([table.matrix(self._command_columns), points, self._seen])
         if {*_POSITION} <= {*table.columns}:
             measured = table.matrix([name for name in (*_POSITION, *_QUATERNION) if name in table])
-            _, origin, again = np.unique(np.round(measured / _SAME), axis=0, return_index=True, return_inverse=True)
+            _, origin, again = np.unique(np.round(measured / SAME), axis=0, return_index=True, return_inverse=True)
             elsewhere = np.any(places != places[origin[again.reshape(-1)]], axis=1)
             if elsewhere.any():
                 problem = "measurements repeat those of other lines to the last digit, at other commands"
                 table.warn(f"{problem}: stale or copied?", table.lines_where(elsewhere))
-        distinct = len(np.unique(np.round(places / _SAME), axis=0))
+        distinct = len(np.unique(np.round(places / SAME), axis=0))
         if distinct < len(rows) - len(copies):
             table.warn(f"{len(rows)} rows at {distinct} different commands: the others repeat one")
 
@@ -710,7 +710,7 @@ class _Reader:
         approaches, last = np.zeros_like(commands), np.zeros(commands.shape[1])
         for before, row in itertools.pairwise(order):
             moved = commands[row] - commands[before]
-            last = np.where(np.abs(moved) > _SAME, np.sign(moved), last)
+            last = np.where(np.abs(moved) > SAME, np.sign(moved), last)
             approaches[row] = last
         return approaches
 

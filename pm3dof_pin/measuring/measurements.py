@@ -24,9 +24,9 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.datum import Datum
 from pm3dof_pin.measuring.instrument import Instrument, Measured
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Indices, Mask
 
-_SAME = 1e-9  # [m, rad], commands that differ by less are the same pose
 _COLUMNS = ("commands", "positions", "rotations", "points", "times", "approaches", "origins", "readings", "stations")
 
 
@@ -442,7 +442,7 @@ class Measurements:
     def _along_distances(self, poses: Poses, motions: Array) -> Array:
         """Return the change of distances by motions of the points seen, shape=(n, ...) of (n, 3, ...)."""
         spans = self._spans(poses)
-        directions = spans / np.maximum(np.linalg.norm(spans, axis=1, keepdims=True), _SAME)
+        directions = spans / np.maximum(np.linalg.norm(spans, axis=1, keepdims=True), SAME)
         fixed = self._fixed.reshape(-1, *[1] * (motions.ndim - 1))
         relative = motions - np.where(fixed, 0.0, motions[self.partners])
         return np.asarray(np.einsum("ni,ni...->n...", directions, relative))
@@ -471,5 +471,5 @@ def with_joints(motions: Array, joints: int) -> Array:
 
 def _numbered(rows: Array) -> Indices:
     """Number distinct rows from 0 in order of appearance, shape=(n,)."""
-    _, first, numbers = np.unique(np.round(rows / _SAME), axis=0, return_index=True, return_inverse=True)
+    _, first, numbers = np.unique(np.round(rows / SAME), axis=0, return_index=True, return_inverse=True)
     return np.asarray(np.argsort(np.argsort(first))[numbers.reshape(-1)])

@@ -435,10 +435,6 @@ def _key(unit: str) -> str:
     return unit.replace(" ", "_")
 
 
-def _greatest(values: Vector) -> float:
-    return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
-
-
 def _directional(translations: Array, tool: Matrix) -> Columns:
     """Return the stiffness felt along the feed, and the least one across it; NaN at rest."""
     sizes = np.linalg.norm(tool, axis=1, keepdims=True)

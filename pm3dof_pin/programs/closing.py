@@ -48,13 +48,8 @@ from pm3dof_pin.programs.loops import (
 )
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.tolerances import ROUNDING, SIGN
 from pm3dof_pin.typing import Array, Matrix, Objects
-
-_ROUNDING = 1e-12
-"""Scaled determinants and pivots up to this are treated as zero."""
-
-_SIGN = 1e-9
-"""Determinants up to this, relative to the usual one, have no sign."""
 
 _MIN_DAMPING = 1e-8
 """Least damping of damped steps, relative to the squared error."""
@@ -476,10 +471,10 @@ def _exterior_product(first: _Form, second: _Form, inside: frozenset[int]) -> _F
 def _usual(number: Scalar) -> float:
     """Return the median magnitude at the samples, 0 if that is a rounding error."""
     median = typical(np.abs(number_samples(number)))
-    return median if median > _ROUNDING else 0.0
+    return median if median > ROUNDING else 0.0
 
 
 def _is_flipped(determinant: Scalar) -> Truth:
     """Return whether a determinant has another sign than at the first sample, beyond rounding."""
     first = float(np.sign(np.ravel(number_samples(determinant))[0]))
-    return less(determinant * first, -_SIGN * _usual(determinant))
+    return less(determinant * first, -SIGN * _usual(determinant))

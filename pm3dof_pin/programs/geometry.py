@@ -23,9 +23,9 @@ from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.mechanism.configuration import LIMIT_TOLERANCE
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.graph import Graph, Number
+from pm3dof_pin.tolerances import LAST_DIGITS
 from pm3dof_pin.typing import Objects, Vector
 
-_ROUNDING = 1e-15
 _CONSTANTS = (0.0, 1.0, -1.0)
 
 
@@ -186,4 +186,4 @@ def _kind(model_joint: Any) -> str:
 
 def _rounded(entries: NDArray[Any]) -> NDArray[Any]:
     nearest = np.rint(entries) + 0.0  # no negative zeros
-    return np.where((np.abs(entries - nearest) <= _ROUNDING) & (np.abs(nearest) <= 1.0), nearest, entries)
+    return np.where((np.abs(entries - nearest) <= LAST_DIGITS) & (np.abs(nearest) <= 1.0), nearest, entries)

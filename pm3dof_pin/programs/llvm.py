@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, ShapeError
 from pm3dof_pin.programs import llvm_ir
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.walk import CLOSED, NEARLY_CLOSED, SHORTEST_LEG, STEPS, Walk
+from pm3dof_pin.programs.walk import NEARLY_CLOSED, SHORTEST_LEG, STEPS, Walk
+from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Array, Mask
 
 _LOG = logging.getLogger(__name__)

@@ -15,9 +15,9 @@ from pm3dof_pin.programs.elimination import zeros
 from pm3dof_pin.programs.graph import Scalar, is_zero
 from pm3dof_pin.programs.joints import Screw, cross, objects
 from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.tolerances import LAST_DIGITS
 from pm3dof_pin.typing import Objects
 
-_ROUNDING = 1e-15
 _ENTRIES = ("m", "h0", "h1", "h2", "I00", "I01", "I11", "I02", "I12", "I22")  # in Pinocchio's order
 _ORIGIN = objects([0.0, 0.0, 0.0])
 
@@ -29,7 +29,7 @@ def mass_numbers(model: pin.Model) -> dict[str, float]:
     for index in range(1, model.njoints):
         entries = zip(_ENTRIES, model.inertias[index].toDynamicParameters(), strict=True)
         found |= {f"mass/{model.names[index]}/{entry}": float(value) for entry, value in entries}
-    return {name: value if abs(value) > _ROUNDING else 0.0 for name, value in found.items()}
+    return {name: value if abs(value) > LAST_DIGITS else 0.0 for name, value in found.items()}
 
 
 def mass_pattern(model: pin.Model) -> list[str]:

@@ -43,10 +43,8 @@ from pm3dof_pin.programs.graph import (
 from pm3dof_pin.programs.joints import Transform, objects
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Array, Objects
-
-CLOSED = 1e-12
-"""Largest closure error of a pose that has been reached [m, rad]."""
 
 NEARLY_CLOSED = 1e-8
 """Closure error from which one quadratic step reaches rounding [m, rad]."""

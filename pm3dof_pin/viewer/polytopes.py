@@ -16,6 +16,7 @@ import numpy as np
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.capability.tool_capability import ToolCapability
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Motion
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.ellipsoids import UNITS
@@ -34,7 +35,6 @@ COLOURS: dict[PolytopeQuantity, objects.Colour] = {"force": (0.85, 0.45, 0.0), "
 
 _OPACITY = 0.16
 _FLAT = 1e-6  # relative to the fastest direction: in slower ones the tool does not move
-_SAME = 1e-9  # relative difference of facets that are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def _hull(corners: Array, axes: Array, unit: str) -> DrawnPolytope:
                 np.delete(triangles[face], place)
                 for face, others in enumerate(hull.neighbors)
                 for place, other in enumerate(others)
-                if face < other and normals[face] @ normals[other] < 1.0 - _SAME
+                if face < other and normals[face] @ normals[other] < 1.0 - SAME
             ]
         )
     least = max(0.0, float(-hull.equations[:, -1].max()))
