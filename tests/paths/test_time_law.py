@@ -11,7 +11,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.paths.bounds import MotionLimits
 from pm3dof_pin.paths.evaluation import PathEvaluation, PathOptions, evaluate_path
-from pm3dof_pin.paths.time_law import Speeds, look_ahead
+from pm3dof_pin.paths.time_law import Speeds, corner_speed, look_ahead
 from pm3dof_pin.paths.tool_path import read_path
 
 ACCELERATION, OVER = 0.4, 0.05
@@ -132,3 +132,10 @@ def test_jerk_of_a_path_is_bounded_and_positive(tmp_path: Path) -> None:
     assert smooth.summary["time_s"] > fast(tmp_path).summary["time_s"]
     with pytest.raises(InvalidValueError, match="jerk"):
         MotionLimits(jerk=0.0)
+
+
+def test_a_corner_is_rounded_by_the_arc_that_stays_within_the_tolerance() -> None:
+    """The apex of an arc of radius r in a right angle is r (sqrt(2) - 1) from the corner: v^2 = A e (1 + sqrt(2))."""
+    tolerance = np.array([1e-4, 0.0, 1e-4, 1e-4])
+    speeds = corner_speed(np.array([0.0, 0.0, -1.0, 1.0]), tolerance, 2.0)
+    np.testing.assert_allclose(speeds, [np.sqrt(2.0 * 1e-4 * (1.0 + np.sqrt(2.0))), 0.0, 0.0, np.inf], atol=1e-12)
