@@ -31,6 +31,7 @@ from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
+_UNFELT = 1e-18  # relative square of a force that the drives do not feel, as in polytopes.py
 _REACHED = 1e-9  # relative part of a direction that the tool cannot move in, up to which it counts as rounding
 _MOST_FREEDOMS = 8  # of redundant drives, the vertices of whose polytope of rates are all found
 
@@ -141,6 +142,46 @@ class ToolCapability:
         if not axes.size:
             return np.zeros((1, 3))
         return np.asarray(Polytopes.from_box(axes.T @ rates, -self.speed, self.speed).vertices() @ axes.T)
+
+    def force_ellipsoid(self) -> tuple[Array, Array]:
+        """Return semi-axes and directions of the forces at which the drives' efforts, by their limits, have norm 1.
+
+        Without moments and weight. It lies within the polytope, whose extent is at most as many times as great as the
+        root of the number of drives (T. Yoshikawa, Foundations of Robotics, 1990).
+
+        Returns:
+            Semi-axes, greatest first, shape=(..., 3) [N], infinite where the structure carries a force alone; and unit
+            vectors as columns, shape=(..., 3, 3).
+
+        Raises:
+            InvalidValueError: the effort of a drive is not described.
+        """
+        _require_known("effort", self.drives, self.effort)
+        squares, directions = self._squares(self.effort)
+        with np.errstate(divide="ignore"):
+            return 1.0 / np.sqrt(squares), directions
+
+    def speed_ellipsoid(self) -> tuple[Array, Array]:
+        """Return semi-axes and directions of the velocities at which the drives' speeds, by their limits, have norm 1.
+
+        Whatever the tool's rotation. Shapes as of :meth:`force_ellipsoid` [m/s].
+
+        Raises:
+            InvalidValueError: the speed of a drive is not described.
+        """
+        _require_known("speed", self.drives, self.speed)
+        squares, directions = self._squares(1.0 / self.speed)
+        return np.sqrt(squares[..., ::-1]), directions[..., ::-1]
+
+    def _squares(self, weights: Vector) -> tuple[Array, Array]:
+        """Return eigenvalues, least first, and eigenvectors of T_v (A^T W^2 A)^-1 T_v^T."""
+        moves, known = self.tool_rates[..., :3, :], np.asarray(np.isfinite(self.tool_rates).all(axis=(-2, -1)))
+        scaled = np.where(known[..., None, None], weights[:, None] * self.drive_rates, 1.0)
+        inverse = np.linalg.pinv(np.einsum("...un,...um->...nm", scaled, scaled), hermitian=True)
+        found = np.where(known[..., None, None], moves @ inverse @ moves.swapaxes(-1, -2), np.eye(3))
+        squares, directions = np.linalg.eigh(found)
+        squares = np.where(squares > _UNFELT * squares[..., -1:], squares, 0.0)
+        return np.where(known[..., None], squares, np.nan), np.where(known[..., None, None], directions, np.nan)
 
     @cached_property
     def _solved_inverse(self) -> tuple[Mask, Array]:

@@ -17,7 +17,7 @@ from pm3dof_pin.cli.options import (
     Twists,
     payloads_of,
 )
-from pm3dof_pin.cli.output import table_lines
+from pm3dof_pin.cli.output import message, table_lines
 from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
 from pm3dof_pin.cli.transmission_options import limits_of_drives
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
@@ -66,6 +66,9 @@ def capability(
         return
     at = tool_capability(robot, pose, **limits)
     result = {"payload_kg": payload, "within_limits": bool(pose.within_limits)} | _result(at, wrenches, twists)
+    limits_known = {"--effort": at.effort, "--speed": at.speed}
+    if unknown := [name for name, values in limits_known.items() if not np.isfinite(values).all()]:
+        message(f"pm3dof: {' and '.join(unknown)}: not described for all drives; results that need them are left out")
     print_at_pose(pose, result, _lines(result), as_json=as_json)
 
 
@@ -85,11 +88,13 @@ def _result(at: ToolCapability, wrenches: list[list[float]], twists: list[list[f
             "greatest_force_N": {sign: values[:3] for sign, values in pushes.items()},
             "greatest_torque_N_m": {sign: values[3:] for sign, values in pushes.items()},
             "force_polytope_N": _forces_at_once(at),
+            "force_ellipsoid_N": _ellipsoid(*at.force_ellipsoid()),
         }
     if np.isfinite(at.speed).all():
         speeds = [at.greatest_twist(a) for a in np.eye(6)]
         result |= {"speed": at.speed, "greatest_speed_m_s": speeds[:3], "greatest_speed_rad_s": speeds[3:]}
         result["speed_polytope_m_s"] = _velocities(at)
+        result["speed_ellipsoid_m_s"] = _ellipsoid(*at.speed_ellipsoid())
     if wrenches:
         result |= {
             "wrenches": wrenches,
@@ -107,6 +112,10 @@ def _forces_at_once(at: ToolCapability) -> Array | None:
         return at.wrenches.pulled_back(np.eye(6)[:, :3]).vertices()
     except InvalidValueError:
         return None
+
+
+def _ellipsoid(semi_axes: Array, directions: Array) -> dict[str, Array]:
+    return {"semi_axes": semi_axes, "directions": directions.T}
 
 
 def _velocities(at: ToolCapability) -> Array | None:
@@ -133,6 +142,10 @@ def _lines(result: dict[str, Any]) -> list[str]:
     header += ["push +", "push -", ""] if "greatest_force_N" in result else []
     header += ["speed", ""] if "greatest_speed_m_s" in result else []
     lines = [line.rstrip() for line in table_lines(header, rows)] if len(header) > 1 else []
+    for words, key, unit in (("forces", "force_ellipsoid_N", "N"), ("velocities", "speed_ellipsoid_m_s", "m/s")):
+        if key in result:
+            axes = ", ".join(_number(axis) for axis in result[key]["semi_axes"])
+            lines.append(f"ellipsoid of {words} of the drives' limits: semi-axes {axes} {unit}")
     shares = (result.get(key, []) for key in ("wrenches", "effort_left", "times_held"))
     for entry, left, times in zip(*shares, strict=True):
         state = "is held" if left >= 0.0 else "is not held"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -41,6 +42,7 @@ LimitsOver: TypeAlias = "Callable[[Sequence[str], Mapping[str, float]], Callable
 """Maps coordinates and values of the others to limits, see :func:`~pm3dof_pin.maps.limit_space.limits_over`."""
 
 SECTIONS = 4
+_LINE = 28  # characters, as high as the planes
 _LONGEST_LABEL = 48  # characters next to the colour bar
 
 
@@ -84,7 +86,8 @@ def _atlas_slices(
     limits, _ = _last_three(flags)
     title = f"{name[:1].upper()}{name[1:]}: {machine}{f', {stands}' if stands else ''}"
     factor, written = display_unit(np.nanpercentile(np.abs(values.values), 100.0 - TAILS[0]), unit)
-    label = in_brackets(name if len(name) <= _LONGEST_LABEL or not written else "", written).strip()
+    words = name if len(name) <= _LONGEST_LABEL else "" if written else textwrap.fill(name.partition(";")[0], _LINE)
+    label = in_brackets(words, written).strip()
     with house_style():
         width, height = (TWO_COLUMNS, 4.6) if shown.ndim == 3 else (ONE_COLUMN, 2.9)
         figure = new_figure(width, height)

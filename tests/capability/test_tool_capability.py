@@ -42,6 +42,25 @@ def test_pushes_against_linear_programs(name: str) -> None:
         assert n == 6 or at.greatest_twist(generator.normal(size=6))[k] == 0.0
 
 
+@pytest.mark.parametrize("name", ["hexapod", "four_rrr", "linear_delta"])
+def test_ellipsoids_against_least_norms(name: str) -> None:
+    """Forces by the least norm of the drives' relative efforts, speeds by singular values after a QR factorization."""
+    robot = pm.load(_MACHINES / name if (_MACHINES / name).exists() else name)
+    generator = np.random.default_rng(5)
+    effort, speed = generator.uniform(50.0, 90.0, (2, len(robot.actuated_joints)))
+    at = pm.tool_capability(robot, pm.reachable_poses(robot, 3, generator), effort=effort, speed=speed)
+    (forces, axes), (speeds, _) = at.force_ellipsoid(), at.speed_ellipsoid()
+    for k in range(3):
+        A, T = at.drive_rates[k], at.tool_rates[k]
+        for size, axis in zip(forces[k], axes[k].T, strict=True):
+            if np.isfinite(size):
+                least = np.linalg.lstsq(A.T * effort, T[:3].T @ axis)[0]
+                assert size * np.linalg.norm(least) == pytest.approx(1.0, rel=1e-9)
+        upper = np.linalg.qr(A / speed[:, None])[1]
+        values = np.linalg.svd(T[:3] @ np.linalg.inv(upper), compute_uv=False)
+        np.testing.assert_allclose(speeds[k][: len(values)], values, atol=1e-9)
+
+
 def test_linear_programs_give_what_polytopes_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of drives with too many facets each direction is a linear program; infinite and NaN where polytopes are."""
     robot = pm.load(_MACHINES / "four_rrr")
