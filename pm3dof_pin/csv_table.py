@@ -92,7 +92,7 @@ class CsvTable:
         self._decimal_commas = separator != ","
         reader = csv.reader(lines, delimiter=separator)
         self.lines: list[int] = []
-        rows = []
+        rows: list[list[float]] = []
         try:
             if not headless:
                 header = next((cells for cells in reader if any(cells)), [])
@@ -101,7 +101,10 @@ class CsvTable:
             self.header_line = max(reader.line_num - added, 1)
             self._check_header(needed, self.header_line)
             read = [(k, name) for k, name in enumerate(self.header) if name not in words]
-            for cells in reader:
+            start, numbers = reader.line_num, self._plain_numbers(lines[reader.line_num :], read)
+            if numbers is not None:
+                self.lines = [n - added for n, line in enumerate(lines[start:], start=start + 1) if line]
+            for cells in reader if numbers is None else ():
                 if not any(cell.strip() for cell in cells):
                     continue
                 if len(cells) != len(self.header):
@@ -109,10 +112,11 @@ class CsvTable:
                     problem = f"{len(cells)} cells, expected {len(self.header)} {what}"
                     raise MeasurementError(path, problem, [reader.line_num - added])
                 self.lines.append(reader.line_num - added)
-                rows.append(self._numbers(cells, read))
+                rows.append([self._number(cells[k], name) for k, name in read])
         except csv.Error as error:
             raise MeasurementError(path, f"expected CSV ({error})", [reader.line_num - added]) from error
-        table, kept = np.array(rows, dtype=float).reshape(len(rows), len(read)), [k for k, _ in read]
+        table = np.array(rows, dtype=float).reshape(len(rows), len(read)) if numbers is None else numbers
+        kept = [k for k, _ in read]
         self.written: dict[str, Array] = {headings[k]: column for k, column in zip(kept, table.T, strict=True)}
         self.columns: dict[str, Array] = dict(zip((n for _, n in read), (table * factors[kept]).T, strict=True))
 
@@ -205,11 +209,14 @@ class CsvTable:
         if twice := sorted({name for name in header if header.count(name) > 1}):
             raise MeasurementError(self.path, f"column {', '.join(twice)} appears more than once", [line])
 
-    def _numbers(self, cells: Sequence[str], read: Sequence[tuple[int, str]]) -> list[float]:
-        if len(read) == len(cells) and not self._decimal_commas and "_" not in "".join(cells):
-            with suppress(ValueError):  # what all rows of most files are
-                return list(map(float, cells))
-        return [self._number(cells[k], name) for k, name in read]
+    def _plain_numbers(self, lines: Sequence[str], read: Sequence[tuple[int, str]]) -> Array | None:
+        """Return the numbers of lines that have nothing else, as those of most long files; None for others."""
+        if self._decimal_commas or len(read) < len(self.header) or any("_" in line or '"' in line for line in lines):
+            return None
+        with suppress(ValueError):
+            numbers = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2) if any(lines) else np.zeros((0, 0))
+            return numbers if numbers.shape[1] == len(read) else None
+        return None
 
     def _number(self, cell: str, column: str) -> float:
         word = cell.strip()

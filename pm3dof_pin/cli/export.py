@@ -74,7 +74,7 @@ def _export_description(which: MachineOptions, format_name: str, folder: Path, *
 def _export_controller(
     robot: Robot, name: Any, folder: Path, calibration: Path | None, options: dict[str, Any]
 ) -> list[Path]:
-    from pm3dof_pin.export.controllers import export_controller
+    from pm3dof_pin.export.controllers import export_controller, placed_by_tool
 
     if calibration is not None:
         from pm3dof_pin.calibration.folder import read_compensation
@@ -92,4 +92,8 @@ def _export_controller(
             message(f"pm3dof: the table of learned deviations is for {conditions}, the middle of the measured range")
     if name != "c" and (options["header_only"] or options["real"] != "double"):
         raise typer.BadParameter(f"--header-only and --float are for c, not for {name}")
-    return export_controller(robot, name, folder, **options)
+    placed = placed_by_tool(robot)
+    if placed.coordinates != robot.coordinates:
+        names = ", ".join(coordinate.name for coordinate in placed.coordinates)
+        message(f"pm3dof: the description has no coordinates; {names} place the tool")
+    return export_controller(placed, name, folder, **options)

@@ -15,6 +15,7 @@ from pm3dof_pin.typing import Vector
 _POSES, _SEED = 4000, 0
 _USUAL_SPEED = {"m": 0.1, "rad": 1.0}  # of drives whose speed is not described [m/s, rad/s]
 _TIME_TO_SPEED = 0.1  # in which a drive reaches its greatest speed [s]
+_STEEP = 5.0  # rates of a drive above this times the median: near a singular pose
 _SHARE = 0.5  # of a drive's acceleration, for what speeds alone need
 
 
@@ -28,10 +29,11 @@ class AxisLimits:
     drive_acceleration: Vector  #: by drive [counts of its unit/s^2]
     assumed: bool  #: whether the speed of a drive is not described, and 0.1 m/s or 1 rad/s are assumed
     poses: int  #: number of random poses at which they hold
+    left_out: int  #: number of others so near singular ones that drives run five times as fast as usual
 
 
 def axis_limits(robot: Robot) -> AxisLimits:
-    """Return limits of the coordinates at random poses within limits.
+    """Return limits of the coordinates at random poses within limits, but for the neighborhood of singular ones.
 
     Raises:
         InvalidValueError: a coordinate moves no drive.
@@ -45,8 +47,11 @@ def axis_limits(robot: Robot) -> AxisLimits:
     drive_acceleration = drive_speed / _TIME_TO_SPEED
     poses = reachable_poses(robot, _POSES, np.random.default_rng(_SEED))
     rates = jacobian(robot, poses, of="commands", by="coordinates", with_derivatives=True, on_failure="nan")
-    J, H = np.abs(rates.values), rates.derivatives
-    assert H is not None
+    assert rates.derivatives is not None
+    steepest = np.abs(rates.values).max(axis=1)
+    usual_rates = np.nanmedian(steepest, axis=0)
+    is_usual = (steepest <= _STEEP * usual_rates).all(axis=1)  # False for NaN
+    J, H = np.abs(rates.values[is_usual]), rates.derivatives[is_usual]
     alone = np.nanmax(J / drive_speed[:, None], axis=(0, 1))
     if not (alone > 0.0).all():
         name = robot.coordinates[int(np.argmin(alone))].name
@@ -61,4 +66,5 @@ def axis_limits(robot: Robot) -> AxisLimits:
     left = drive_acceleration - np.nanmax(bent, axis=0)
     acceleration = 1.0 / np.nanmax(J / left[:, None], axis=(0, 1))
     acceleration /= np.nanmax(J @ acceleration / left)
-    return AxisLimits(speed, acceleration, drive_speed, drive_acceleration, not is_known.all(), len(poses))
+    left_out = len(poses) - len(J)
+    return AxisLimits(speed, acceleration, drive_speed, drive_acceleration, not is_known.all(), len(J), left_out)

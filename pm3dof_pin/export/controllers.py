@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from pm3dof_pin.arrays import require_choice
+from pm3dof_pin.description.coordinates import tool_coordinates
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller, Deviations
@@ -14,6 +15,8 @@ from pm3dof_pin.export.grblhal import grblhal_files
 from pm3dof_pin.export.linuxcnc import linuxcnc_files
 from pm3dof_pin.export.ros2_control import ros2_control_files
 from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.actuation import motion_components
+from pm3dof_pin.kinematics.mobility import generic_configuration
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs.c import Real
 
@@ -28,6 +31,20 @@ _WRITERS: Mapping[ControllerName, Callable[[Controller], dict[str, str]]] = {
 }
 
 
+def placed_by_tool(robot: Robot) -> Robot:
+    """Return a robot with coordinates that place the tool, where the commands would be its coordinates.
+
+    They are as many components of the tool's placement as it has drives, such as x, y and rz of a planar platform. A
+    robot with declared coordinates, without a tool, with one drive, or whose drives do not all move the tool stays.
+    """
+    if robot.declared_coordinates or robot.tool_frame is None or robot.coordinates != robot.command_coordinates:
+        return robot
+    components = motion_components(generic_configuration(robot.home))
+    if not 1 < len(components) == len(robot.commands):
+        return robot
+    return robot.replace(coordinates=tool_coordinates(components))
+
+
 def export_controller(
     robot: Robot,
     controller: ControllerName,
@@ -38,7 +55,7 @@ def export_controller(
     real: Real = "double",
     header_only: bool = False,
 ) -> list[Path]:
-    """Write a robot's kinematics for a controller.
+    """Write a robot's kinematics for a controller, between its drives and :func:`coordinates <placed_by_tool>`.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -71,6 +88,9 @@ def export_controller(
     """
     require_choice("controller", controller, ControllerName)
     require_choice("real", real, Real)
+    robot = placed_by_tool(robot)
+    if calibrated is not None:
+        calibrated = calibrated.replace(coordinates=robot.coordinates)
     described = Controller(robot, calibrated=calibrated, deviations=deviations)
     if controller == "c":
         files = c_files(described, real=real, header_only=header_only)

@@ -70,10 +70,15 @@ def _ini(machine: Machine, module: str) -> str:
     fastest = float(speed[linear].max()) if linear else float(speed.max())
     quickest = float(acceleration[linear].max()) if linear else float(acceleration.max())
     source = "assumed: the description has none" if limits.assumed else "as described"
+    near = [
+        f"# Left out: {limits.left_out} poses near singular ones, where drives run five times as fast as usual.",
+        "# Moves there can exceed the drives' limits; pm3dof path --controller finds them.",
+    ]
     lines = [
         f"# {one_line(robot.name)}: millimetres, degrees. Written by pm3dof export linuxcnc, for LinuxCNC 2.9.",
         "# Speeds and accelerations of the axes: at the same time in any directions they keep every drive within its",
         f"# own ({source}; a tenth of a second to full speed), at {limits.poses} random poses of the workspace.",
+        *(near if limits.left_out else ()),
         "# LinuxCNC does not enforce joint limits of speed in coordinated moves: these do.",
         "[EMC]",
         "VERSION = 1.1",

@@ -33,13 +33,15 @@ def poll():
 
 
 def wait(condition, what, seconds=60.0):
-    end = time.monotonic() + seconds
+    end, joints = time.monotonic() + seconds, None
     while time.monotonic() < end:
         poll()
         if condition():
             return
+        if status.joint_position != joints:  # slow moves take as long as they need
+            end, joints = time.monotonic() + seconds, status.joint_position
         time.sleep(0.002)
-    sys.exit(f"no {what} within {seconds:g} s")
+    sys.exit(f"no {what} within {seconds:g} s of standstill")
 
 
 def start(program, count):

@@ -75,7 +75,8 @@ def singularity_measures(
 def _measured(robot: Robot, compiled: Compiled, q: Matrix, ranks: list[int], threads: int | None) -> tuple[Array, Mask]:
     """Return the measures, shape=(n, 4), at poses whose closures have their usual rank, and a mask of these."""
     groups = compiled.program.split(compiled(q, geometry.values(robot, compiled.program.parameters), threads=threads))
-    closed = groups["residual"] <= ASSEMBLED_TOLERANCE * robot.characteristic_length  # False for NaN
+    closed = groups["residual"] <= ASSEMBLED_TOLERANCE * robot.characteristic_length
+    closed &= np.isfinite(q).all(axis=1)  # without loops the residual is zero at any q
     rows, tool = (np.where(closed[:, None, None], groups[name], 0.0) for name in ("closures", "tool"))
     values, sound = np.zeros((len(q), 4)), np.zeros(len(q), dtype=bool)
     if rows.shape[1] == ranks[0] > 0:

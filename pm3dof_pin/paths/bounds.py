@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from pm3dof_pin.capability.transmission import drive_values
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.paths.follower import Follower, Motion
 from pm3dof_pin.paths.time_law import corner_speed
 from pm3dof_pin.paths.tool_path import ToolPath
@@ -107,10 +109,9 @@ class PathBounds:
 
     def __init__(self, follower: Follower, limits: MotionLimits, tolerance: float, loads: Loads | None) -> None:
         self._follower, self._limits, self._tolerance, self._loads = follower, limits, tolerance, loads
-        model, drives = follower.robot.model, follower.robot.actuated_indices
-        self._speed = drive_limits(follower, limits.drive_speed, model.velocityLimit[drives])
-        self._acceleration = drive_limits(follower, limits.drive_acceleration, np.inf)
-        self._force = drive_limits(follower, limits.drive_force, model.effortLimit[drives])
+        self._speed = drive_limits(follower.robot, limits.drive_speed, "speed")
+        self._acceleration = drive_limits(follower.robot, limits.drive_acceleration)
+        self._force = drive_limits(follower.robot, limits.drive_force, "effort")
         names = follower.path.names
         self._axes = [
             np.array([given.get(name, np.inf) for name in names])
@@ -192,10 +193,11 @@ class PathBounds:
         return found
 
 
-def drive_limits(follower: Follower, given: Vector | None, usual: Array | float) -> Vector:
-    """Return limits of the drives, infinite where there are none, shape=(u,)."""
-    count = len(follower.robot.actuated_joints)
-    limits = np.broadcast_to(np.asarray(usual if given is None else given, dtype=float), count)
+def drive_limits(robot: Robot, given: Vector | None, described: Literal["effort", "speed"] | None = None) -> Vector:
+    """Return limits of the drives: those given, else as described, infinite where there are none, shape=(u,)."""
+    if given is None:
+        return np.full(len(robot.actuated_joints), np.inf) if described is None else drive_values(robot, described)
+    limits = np.broadcast_to(np.asarray(given, dtype=float), len(robot.actuated_joints))
     return np.where(limits > 0.0, limits, np.inf)
 
 

@@ -161,8 +161,7 @@ class PathEvaluation:
     @property
     def _force_limits(self) -> Vector:
         robot = self.robot
-        usual = robot.model.effortLimit[robot.actuated_indices]
-        limits = drive_limits(self._follower, self.options.limits.drive_force, usual)
+        limits = drive_limits(robot, self.options.limits.drive_force, "effort")
         return limits[[robot.actuated_joints.index(command.joint) for command in robot.commands]]
 
     @cached_property

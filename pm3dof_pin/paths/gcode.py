@@ -44,7 +44,7 @@ _GROUPS: dict[str, tuple[float, ...]] = {
 }
 _GROUP_OF = {number: group for group, numbers in _GROUPS.items() for number in numbers}
 _M_GROUP = {0: "stop", 1: "stop", 2: "stop", 30: "stop", 3: "spindle", 4: "spindle", 5: "spindle", 6: "tool"}
-_M_GROUP |= {7: "mist", 8: "flood", 9: "flood"}
+_M_GROUP |= {7: "coolant", 8: "coolant", 9: "coolant"}
 _ENDS = (2, 30)
 _INCH, _MILLIMETRE = 0.0254, 0.001
 _RADIUS_ERROR = 1.27e-6  # of an arc: always permitted [m]
@@ -237,7 +237,7 @@ class _Interpreter:
         if "F" in given and unit != self._unit:
             raise self._error(f"F on the line of G{g['units']:g}, which changes its unit: expected it on a later line")
         self._unit = unit
-        if "feed" in g and self._inverse_time != (g["feed"] == 93):
+        if "feed" in g:  # the word alone takes the feed back, as in LinuxCNC
             self._inverse_time, self._feed = g["feed"] == 93, 0.0
         for letter, what in (("F", "feed"), ("S", "spindle speed"), ("T", "tool number"), ("H", "tool number")):
             if given.get(letter, 0.0) < 0.0:
@@ -317,6 +317,8 @@ class _Interpreter:
         if not axes and not others:
             if machine:
                 raise self._error("G53 without axes")
+            if g.get("motion") in (2, 3):
+                raise self._error(f"an arc, G{motion}, without axes and centre")
             return
         if motion is None:
             raise self._error(f"{(axes or others)[0]} without a motion, G0, G1, G2 or G3")
@@ -324,6 +326,8 @@ class _Interpreter:
         if machine:
             if is_arc:
                 raise self._error("G53 with an arc: expected G0 or G1")
+            if self._relative:
+                raise self._error("G53 in incremental distances, G91: expected G90 before")
             place = in_machine(self._systems[self._system], self._position, turns=self._turns)
             target = place.copy()
             for letter in axes:

@@ -106,8 +106,7 @@ class PlacementSearch:
                 return kinematic_sum(sources, own, "tip_rms", eta=eta, on_failure="nan").values
 
             return error
-        usual = self.robot.model.velocityLimit[self.robot.actuated_indices]
-        limits = drive_limits(self._follower, options.limits.drive_speed, usual)
+        limits = drive_limits(self.robot, options.limits.drive_speed, "speed")
         if not np.isfinite(limits).any():
             raise InvalidValueError("goal", problem=f"fastest: {robot.name} has no speed limits", expected="some")
         linear = [k for k, c in enumerate(self.robot.coordinates) if c.unit == "m"]

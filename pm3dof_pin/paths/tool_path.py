@@ -19,6 +19,7 @@ from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.files import read_text
 from pm3dof_pin.kinematics.pose_file import PoseTable, read_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.units import coordinate_periods
 from pm3dof_pin.measuring.wrenches import is_wrench, wrenches_of
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.paths.gcode import MACHINE, Move, Systems, in_machine, read_program
@@ -44,6 +45,7 @@ _MOVES = np.dtype(
 
 _AT_ONCE = 4096  # moves
 
+_TURNS = TOOL_COMPONENTS[3:]
 _UNITS: Mapping[str, Mapping[str, float]] = {"m": {"m": 1.0, "mm": 1e-3}, "rad": {"rad": 1.0, "deg": np.pi / 180.0}}
 
 
@@ -99,7 +101,7 @@ class ToolPath:
     @cached_property
     def turns(self) -> bool:
         """Whether the path turns the tool: A, B or C are among its components."""
-        return self.components is not None and bool({*self.components} & {*TOOL_COMPONENTS[3:]})
+        return self.components is not None and bool({*self.components} & {*_TURNS})
 
     @cached_property
     def has_durations(self) -> bool:
@@ -221,11 +223,11 @@ def _row(move: Move) -> tuple[Any, ...]:
 
 
 def _from_table(robot: Robot, file: Path, table: PoseTable) -> ToolPath:
-    values, others = np.array(table.poses.coordinates), table.others
-    for k, coordinate in enumerate(robot.coordinates):  # of poses out of reach, as they are written
+    values, others = _continued(robot, table.poses.coordinates), table.others
+    for k, coordinate in enumerate(robot.coordinates):  # as they are written, also out of reach and over full turns
         for unit, factor in _UNITS[coordinate.unit].items():
             if (column := table.columns.get(f"{coordinate.name}_{unit}")) is not None:
-                values[:, k] = np.where(np.isnan(values[:, k]), factor * column, values[:, k])
+                values[:, k] = factor * column
     if len(values) < 2:
         raise MeasurementError(file, "a path needs at least two poses")
     times = others.get(TIME)
@@ -246,3 +248,30 @@ def _from_table(robot: Robot, file: Path, table: PoseTable) -> ToolPath:
         wrenches=wrenches,
         names=tuple(coordinate.name for coordinate in robot.coordinates),
     )
+
+
+def _continued(robot: Robot, values: Array) -> Array:
+    """Return coordinates of poses with each row in that form, of those that mean the same, nearest to the row before.
+
+    Angles may differ by full turns, and rx, ry, rz are rx + pi, pi - ry, rz + pi too.
+    """
+    found, periods = np.array(values), coordinate_periods(robot, robot.coordinates)
+    known = np.isfinite(found).all(axis=1)
+    rows = found[known]
+    by_tool = [coordinate.tool for coordinate in robot.coordinates]
+    if {*_TURNS} <= {*by_tool}:
+        rx, ry, rz = (by_tool.index(name) for name in _TURNS)
+        other = rows.copy()
+        other[:, [rx, rz]] += np.pi
+        other[:, ry] = np.pi - other[:, ry]
+
+        def change(after: Array) -> Vector:
+            steps = (after[1:] - rows[:-1])[:, [rx, ry, rz]]
+            return np.asarray(np.abs((steps + np.pi) % (2.0 * np.pi) - np.pi).sum(axis=1))
+
+        is_other = np.append(False, np.cumsum(change(other) < change(rows)) % 2 == 1)[: len(rows)]
+        rows = np.where(is_other[:, None], other, rows)
+    for k in np.flatnonzero(np.isfinite(periods)):
+        rows[:, k] = np.unwrap(rows[:, k], period=float(periods[k]))
+    found[known] = rows
+    return found

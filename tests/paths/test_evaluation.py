@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError, UnreachablePoseError
@@ -269,6 +271,48 @@ def test_table_of_poses_with_feed_force_and_unreachable_rows(tmp_path: Path) -> 
     file.write_text("theta_x_rad,theta_y_rad,z_e_m,time_s\n0.1,0,.48,1\n0,0,.48,1\n")
     with pytest.raises(MeasurementError, match="time_s does not increase"):
         read_path(robot, file)
+
+
+GANTRY = "".join(
+    f'<body name="b{k}"><joint name="j{k}" type="{kind}" axis="{axis}"/><geom size=".1" mass="1"/>'
+    for k, (kind, axis) in enumerate(itertools.product(("slide", "hinge"), ("1 0 0", "0 1 0", "0 0 1")))
+)
+GANTRY = (
+    f'<mujoco model="gantry"><worldbody>{GANTRY}<site name="tool"/>{"</body>" * 6}</worldbody><actuator>'
+    + "".join(f'<motor joint="j{k}" gear="2" forcerange="-{k + 40} {k + 40}"/>' for k in range(6))
+    + "</actuator></mujoco>"
+)
+
+
+def test_turns_of_placements_go_on_from_row_to_row(tmp_path: Path) -> None:
+    """Halfway between two rows the tool has turned half as far, over half turns and a pitch of 90 degrees too."""
+    (tmp_path / "gantry.xml").write_text(GANTRY)
+    robot = pm.load(tmp_path / "gantry.xml", tool_frame="tool")
+    turned = [Rotation.from_euler(axis, np.arange(0.0, 400.0, 8.0)[:, None], degrees=True) for axis in "XYZ"]
+    for rotations in turned:
+        quaternions = rotations.as_quat()[:, [3, 0, 1, 2]]
+        rows = "\n".join(",".join(map(str, (0, 0, 0, *row))) for row in quaternions)
+        file = tmp_path / "path.csv"
+        file.write_text(f"x_m,y_m,z_m,qw,qx,qy,qz\n{rows}\n")
+        path = read_path(robot, file)
+        moves = np.arange(len(path))
+        halfway = Rotation.from_euler("XYZ", path.values(moves, np.full(len(moves), 0.5))[:, 3:])
+        wanted = rotations[:-1] * (rotations[:-1].inv() * rotations[1:]) ** 0.5
+        assert (halfway.inv() * wanted).magnitude().max() < 1e-9
+    file.write_text("x_m,y_m,z_m,rx_deg,ry_deg,rz_deg\n0,0,0,170,0,0\n0,0,0,190,0,0\n0,0,0,-170,0,0\n")
+    np.testing.assert_allclose(np.degrees(read_path(robot, file).end[:, 3]), [190.0, -170.0])  # as written
+
+
+def test_forces_of_the_actuators_of_mjcf_are_limits(tmp_path: Path) -> None:
+    (tmp_path / "gantry.xml").write_text(GANTRY)
+    robot = pm.load(tmp_path / "gantry.xml", tool_frame="tool")
+    (tmp_path / "lift.ngc").write_text("G21 G1 Z1 F60\nM2\n")
+    summary = evaluate_path(robot, read_path(robot, tmp_path / "lift.ngc"), PathOptions(payload=3.0)).summary
+    limits = [drive["effort_limit_N" if k < 3 else "effort_limit_N_m"] for k, drive in enumerate(summary["drives"])]
+    np.testing.assert_allclose(limits, 2.0 * (40.0 + np.arange(6)))
+    weight = 9.81 * (4 * 1.0 + 3.0)  # of what the slide along z carries: 4 bodies and the payload
+    assert summary["drives"][2]["rms_force_N"] == pytest.approx(weight, rel=1e-2)
+    assert summary["points_beyond_drive_force"] == 0
 
 
 def test_files_have_every_point_and_read_back(tmp_path: Path) -> None:

@@ -124,6 +124,10 @@ def test_every_word_moves_as_in_linuxcnc(tmp_path: Path) -> None:
         ("G21\n%\nG0 X1\n", 2),
         ("G21 G0 X1 X2\n", 1),
         ("G21 G93 G1 X1 F2\nX2\n", 2),
+        ("G21 G94 G1 X1 F2\nG94 X2\n", 2),
+        ("G21 M7 M8 G0 X1\n", 1),
+        ("G21 G91 G0 X1\nG53 G0 X1\n", 2),
+        ("G21 G0 X1\nG2 F3\n", 2),
     ],
 )
 def test_forms_of_lines_are_taken_and_refused_as_by_linuxcnc(text: str, refused: int | None, tmp_path: Path) -> None:
