@@ -84,7 +84,7 @@ def _write_live_pages(app: Sphinx, error: Exception | None) -> None:
             compliance = cartesian_compliance(model, robot.home).compliance
             viewer.stiffness_ellipsoid(compliance=compliance, kind="translation")
             viewer.stiffness_ellipsoid(compliance=compliance, kind="rotation")
-            viewer.load(model, [0.0, 0.0, -100.0, 0.0, 0.0, 0.0])
+            viewer.load(model, [80.0, 0.0, 60.0, 0.0, 0.0, 0.0])  # an arrow beside the machine, to drag
             viewer.colour_legs(model, [0.0, 0.0, -100.0, 0.0, 0.0, 0.0], visible=False)
         except PM3DofError:
             viewer.motion_ellipsoid("velocity")
