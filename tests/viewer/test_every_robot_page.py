@@ -11,6 +11,8 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 
@@ -185,3 +187,33 @@ def test_a_home_that_sliders_cannot_leave_says_why(page: Any, tmp_path: Path) ->
     assert "no tool frame (--tool-frame)" in page.ask("document.querySelector('.lack').textContent")
     assert page.ask("pm3dof.panel().camera.box[1][0]") < 2.0  # the obstacle at 30 m is not of the machine
     assert page.browser.errors == []
+
+
+def test_an_arm_leaves_a_singular_home_by_its_commands(page: Any, tmp_path: Path) -> None:
+    """A stretched arm: coordinates lead nowhere, which is said; numbers at its hand stay inside the picture."""
+    pytest.importorskip("example_robot_data")
+    robot = Robot.load("ur5", tool_frame="tool0").with_drive_stiffness(2e4)
+    viewer = Viewer(robot)
+    compliance = cartesian_compliance(ElasticModel(robot), robot.home).compliance
+    viewer.stiffness_ellipsoid(compliance=compliance, of="compliance")
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    try:
+        for size in ((800, 600), (390, 844)):
+            page.browser.resize(*size)
+            page.browser.settle()
+            ends = page.ask(
+                "[...document.querySelectorAll('#labels span')].map((e) => e.getBoundingClientRect().right)"
+            )
+            assert ends
+            assert max(ends) <= size[0]
+            assert page.ask("document.documentElement.scrollWidth") <= size[0]
+        assert page.ask("document.getElementById('meshcat-pane').clientHeight") >= 0.48 * 844 - 1
+    finally:
+        page.browser.resize(800, 600)
+    page.ask("pm3dof.slide(0, 0.5)")
+    assert page.warnings() == ["Not even a small step is possible, as in a singular pose: move the commands first."]
+    page.ask(
+        "(pm3dof.chooseSet(1), pm3dof.slide(1, -1.2), pm3dof.slide(2, 1.4), pm3dof.slide(4, 0.8), pm3dof.chooseSet(0))"
+    )
+    wanted = page.ask("pm3dof.pose().tool[0]") - 0.05
+    assert page.ask(f"(pm3dof.slide(0, {wanted}), pm3dof.pose().tool[0])") == pytest.approx(wanted, abs=1e-12)

@@ -231,3 +231,20 @@ def test_sliders_go_on_after_a_path_that_cannot_be_drawn(mechanism: Robot) -> No
     viewer.display(mechanism.home)
     viewer.motion_ellipsoid("velocity")
     assert legend(viewer)["translation"]["live"]
+
+
+def test_what_is_missing_in_the_page_is_said_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "crank.xml"
+    body = '<body name="base">{}<geom size=".1"/><body pos="1 0 0"><joint name="crank" axis="0 0 1"/><geom size=".1"/>'
+    body += '<site name="tool"/></body></body>'
+    text = f"<mujoco model='crank'><worldbody>{body}</worldbody><actuator><motor joint='crank'/></actuator></mujoco>"
+    path.write_text(text.format("<freejoint/>"), encoding="utf-8")
+    floating = Viewer(Robot.load(path).with_drive_stiffness(1e3))
+    assert floating.scene.panel["lacks"] == ["the base 'base' floats (--hold-base): stiffness ellipsoids are not drawn"]
+    path.write_text(text.format(""), encoding="utf-8")
+    monkeypatch.setattr("pm3dof_pin.viewer.viewer.programs_of", lambda *_: None)
+    monkeypatch.setattr(Robot, "reason_without_programs", lambda _: "it is too large")
+    assert Viewer(Robot.load(path)).scene.panel["lacks"] == [
+        "Crank has no springs (--drive-stiffness) in its description: stiffness ellipsoids are not drawn",
+        "no sliders: it is too large",
+    ]
