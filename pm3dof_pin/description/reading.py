@@ -76,12 +76,13 @@ def _completed(description: Description, file: ClosuresFile) -> Description:
         *("motion_coordinates", "coordinates", "limit_groups", "tool_motions", "tool_frame", "actuated_joints"),
         "closure_tolerance",
     )
+    own = {spring.get("name") for spring in file.springs}  # in place of those of the same name
     given = {name: value for name in taken if (value := getattr(file, name))}
     return replace(
         description,
         closures=(*description.closures, *file.closures),
         couplings=(*description.couplings, *file.couplings),
-        springs=(*description.springs, *file.springs),
+        springs=(*(s for s in description.springs if s.get("name") not in own), *file.springs),
         commands=file.commands or (() if file.actuated_joints else description.commands),
         **given,
     )

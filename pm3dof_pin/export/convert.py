@@ -87,7 +87,7 @@ def convert_robot(
     form = dialect or DIALECTS.get(target.suffix)
     if form not in {*DIALECTS.values(), "drake"}:
         raise InvalidValueError("dialect", form or target.suffix, "urdf, mjcf, sdf or drake")
-    document = read_robot(robot, meshes=meshes, **options)
+    document = read_robot(robot, meshes=meshes, unique_names=form == "sdf", **options)
     zeros = {j.name: document.home_position(j) for j in document.description.joints} if form == "sdf" else {}
     texts = {
         (target.name if suffix == target.suffix or form != "urdf" else target.stem + suffix): text
@@ -180,6 +180,8 @@ def _losses(document: RobotDocument, file: Path, zeros: Mapping[str, float]) -> 
     except PM3DofError as error:
         yield f"the file cannot be read back: {str(error).replace(str(file.parent) + '/', '')}"
         return
+    for old, new in document.renamed.items():
+        yield f"joint {old} is called {new}, since a link or frame has its name"
     types = [", ".join(loop.type for loop in which.closures) or "none" for which in (robot, again)]
     if Counter(types[0].split(", ")) != Counter(types[1].split(", ")):
         yield f"closures {types[0]} are read back as {types[1]}"

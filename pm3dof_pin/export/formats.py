@@ -83,7 +83,7 @@ def export_robot(
         ConvergenceError: the loops do not close near the home configuration.
         OutputError: a file cannot be written.
     """
-    document = read_robot(robot, meshes=meshes, **options)
+    document = read_robot(robot, meshes=meshes, unique_names=format_name == "sdf", **options)
     files = exported_files(document, format_name)
     target = Path(folder) / ros_package_name(document.name) if format_name == "ros" else Path(folder)
     kinds = MESH_KINDS.get(format_name)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Unpack, assert_never
@@ -24,6 +24,7 @@ from pm3dof_pin.description.simple_joints import (
     with_frames_as_bodies,
     with_simple_joints,
 )
+from pm3dof_pin.description.unique_names import shared_joint_names, with_joint_names
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.meshes import Meshes
 from pm3dof_pin.kinematics.robot import LoadOptions, Robot
@@ -46,6 +47,7 @@ class RobotDocument:
     described: Description  #: as it was read
     mechanism: Robot
     meshes: Meshes
+    renamed: Mapping[str, str] = field(default_factory=dict)  #: names of joints that were changed, by the old ones
 
     @property
     def name(self) -> str:
@@ -200,11 +202,13 @@ def read_robot(
     name_or_path: str | Path,
     *,
     meshes: bool = True,
+    unique_names: bool = False,
     **options: Unpack[LoadOptions],
 ) -> RobotDocument:
     """Read a robot for export, as a plain URDF if it is in another format or has joints that URDF lacks.
 
-    Arguments as in :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
+    With `unique_names`, joints whose names bodies have too get others. Other arguments as in
+    :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
 
     Raises:
         UnknownRobotError: no such robot.
@@ -215,10 +219,10 @@ def read_robot(
     robot = Robot.load(name_or_path, **options)
     if robot.files is None:
         raise DescriptionError(robot.source, "files", "expected a robot that was read from files")
-    return document_of(robot, robot.files, meshes=meshes)
+    return document_of(robot, robot.files, meshes=meshes, unique_names=unique_names)
 
 
-def document_of(robot: Robot, files: RobotFiles, *, meshes: bool = True) -> RobotDocument:
+def document_of(robot: Robot, files: RobotFiles, *, meshes: bool = True, unique_names: bool = False) -> RobotDocument:
     """Prepare a robot for export; `files` are those that name its meshes.
 
     Raises:
@@ -227,7 +231,10 @@ def document_of(robot: Robot, files: RobotFiles, *, meshes: bool = True) -> Robo
     own = {name: getattr(robot, name) for name in ("actuated_joints", "commands", "springs", "tool_frame")}
     described = replace(robot.description, **own)
     simple = with_simple_joints(described, floating=False)
-    mechanism = robot if simple is described else Robot.load(simple)
+    names = shared_joint_names(simple) if unique_names else {}
+    if names:
+        described, simple = with_joint_names(described, names), with_joint_names(simple, names)
+    mechanism = robot if simple is described and not names else Robot.load(simple)
     description = with_frames_as_bodies(simple)
     joints = {j.name: replace(j, velocity=j.velocity or None) for j in description.joints}  # 0 stands for unknown
     description = description.with_joints(joints)
@@ -238,7 +245,7 @@ def document_of(robot: Robot, files: RobotFiles, *, meshes: bool = True) -> Robo
         description = replace(description, bodies=tuple(map(_without_meshes, description.bodies)))
     shapes = [shape for body in description.bodies for shape in (*body.visuals, *body.collisions)]
     found = Meshes.from_urdf(files, [shape.mesh for shape in shapes if shape.kind == "mesh"])
-    return RobotDocument(files, description, described, mechanism, found)
+    return RobotDocument(files, description, described, mechanism, found, names)
 
 
 def _without_meshes(body: Body) -> Body:

@@ -32,7 +32,7 @@ _BANNER = "{name} in SDFormat, generated from its description by `pm3dof export 
 def sdf_text(robot: RobotDocument) -> str:
     """Write a robot as SDFormat.
 
-    Links that move or have mass become links, on joints of the same names. Massless links at the end of a fixed
+    Links that move or have mass become links, on joints. Massless links at the end of a fixed
     joint become frames, and their shapes belong to the link that carries them. Each loop closure becomes a joint
     `<frame_a>_<frame_b>` of type `ball` (3d), `fixed` (6d), `revolute`, `universal` or `prismatic`, others several
     (:mod:`~pm3dof_pin.export.equivalent_loops`); a coupling a `mimic` (SDFormat 1.11). The root is fixed to the
@@ -144,10 +144,14 @@ class _Writer:
         for tag, greatest in (("effort", effort), ("velocity", joint.velocity)):
             if greatest is not None:
                 SubElement(limit, tag).text = number_text(greatest)
-        if joint.damping or joint.friction:
+        if joint.damping or joint.friction or joint.stiffness:
             dynamics = SubElement(axis, "dynamics")
             SubElement(dynamics, "damping").text = number_text(joint.damping)
             SubElement(dynamics, "friction").text = number_text(joint.friction)
+            if joint.stiffness:
+                rest = joint.rest - self._robot.home_position(joint)
+                SubElement(dynamics, "spring_reference").text = number_text(rest)
+                SubElement(dynamics, "spring_stiffness").text = number_text(joint.stiffness)
 
     def _mimic(self, axis: Element, joint: Joint) -> None:
         """Write a coupling, between coordinates that are measured from home."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -113,3 +115,32 @@ def test_armature_and_gains_pass_from_mjcf_to_mjcf(tmp_path: Path) -> None:
 def test_the_command_lists_what_is_lost(answer: Callable[..., Any], tmp_path: Path) -> None:
     assert "swing limits of closures" in answer("convert", "three_rps", str(tmp_path / "out.sdf"))["losses"]
     assert answer("convert", "three_rps", str(tmp_path / "out.urdf"))["losses"] == []
+
+
+NAMESAKES = """<mujoco model="leg"><compiler angle="radian"/><worldbody><body name="hip"><joint name="hip" axis="0 1 0"
+stiffness="7"/><geom size="0.1"/><body name="shin" pos="0.3 0 0"><joint name="shin" axis="0 1 0" stiffness="50"
+springref="0.1"/><geom size="0.1"/><site name="toe" pos="0.4 0 0"/><body name="foot" pos="0.4 0 0"><joint name="toe"
+axis="0 1 0"/><geom size="0.05"/></body></body></body></worldbody><equality><joint joint1="toe" joint2="shin"
+polycoef="0 0.5 0 0 0"/></equality><actuator><motor name="m" joint="hip"/></actuator></mujoco>"""
+"""Joints with the names of bodies and of a site, as is usual in MJCF, two of them with springs."""
+
+
+@pytest.mark.parametrize("dialect", ["mjcf", "sdf", "urdf", "drake"])
+def test_joints_may_have_the_names_of_links_and_springs(tmp_path: Path, dialect: str) -> None:
+    source = tmp_path / "leg.xml"
+    source.write_text(NAMESAKES, encoding="utf-8")
+    target = tmp_path / "out" / {"mjcf": "leg.xml", "sdf": "leg.sdf"}.get(dialect, "leg.urdf")
+    target.parent.mkdir()
+    losses = convert_robot(source, target, dialect=dialect, tool_frame="foot").losses
+    assert sum("is called" in loss for loss in losses) == (3 if dialect == "sdf" else 0)
+    before, after = pm.load(source, tool_frame="foot"), pm.load(target, tool_frame="foot")
+    assert [spring["name"] for spring in after.springs] == [spring["name"] for spring in before.springs]
+    assert len(after.couplings) == len(before.couplings) == 1
+    found, expected = (np.asarray(pm.compliance(robot, robot.home)) for robot in (after, before))
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    if dialect == "sdf":
+        assert after.actuated_joints == ("hip_joint",)
+        assert after.description.joint("shin_joint").stiffness == 50.0
+        if shutil.which("ign"):
+            done = subprocess.run(["ign", "sdf", "--check", target], capture_output=True, text=True, check=False)
+            assert "Valid" in done.stdout, done.stdout + done.stderr
