@@ -65,6 +65,8 @@ _PROCESS_NOISE = 0.05  # standard deviation of a measured deviation's noise, ove
 _MAX_PASSES = 50
 _MIN_GAIN = 1e-9
 _SHUFFLES = 20
+_LARGE = 128  # unknowns, from which directions that no candidate sees are left out
+_UNSEEN = 1e-7  # rows of all candidates, in standard deviations of the prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +220,23 @@ class PlanningProblem:
             Identifiability.from_regressor(self.unknowns, self.regressor[chosen], self.nuisance_regressor[chosen]),
         )
 
+    @cached_property
+    def _visible(self) -> tuple[Array, Array | None]:
+        """The candidates' rows in the directions that any of them sees, and these directions as columns, if fewer.
+
+        What none of them sees keeps its prior, however the poses are chosen. Of large machines most parameters move
+        others' combinations, and exchanging poses takes time with the square of the directions.
+        """
+        size = self._rows.shape[2]
+        if size < _LARGE:
+            return self._rows, None
+        deviations = np.diag(self._prior) ** -0.5
+        triangle = np.linalg.qr(self._rows.reshape(-1, size) * deviations, mode="r")
+        _, values, right = np.linalg.svd(triangle, full_matrices=False)
+        seen = values > max(_UNSEEN, size * np.finfo(float).eps * values[0])
+        directions = deviations[:, None] * right[seen].T
+        return self._rows @ directions, directions
+
     def information(self, indices: ArrayLike) -> Array:
         """Return M for some candidates, in units of the tolerances, shape=(parameters and nuisances, same)."""
         rows = self._rows[np.asarray(indices, dtype=np.intp)].reshape(-1, self._rows.shape[2])
@@ -348,11 +367,17 @@ class PlanningProblem:
         return best
 
     def _exchanged(self, start: Indices, criterion: Criterion) -> Indices:
-        chosen = start.copy()
+        chosen, (rows, directions) = start.copy(), self._visible
+        tip = criterion.tip
+        if directions is not None and tip is not None:
+            tip = directions.T @ tip @ directions
         near = np.array([self._near(int(index)) for index in chosen])
         for _ in range(_MAX_PASSES):
             swapped = False
-            state = CandidateInformation.from_rows(self._rows, self.information(chosen), criterion.tip)
+            information = self.information(chosen)
+            if directions is not None:
+                information = directions.T @ information @ directions
+            state = CandidateInformation.from_rows(rows, information, tip)
             for place in range(len(chosen)):
                 without = state.changed(chosen[place], -1.0)
                 gains = criterion.gains(without)

@@ -28,6 +28,7 @@ from pm3dof_pin.elastic.springs import CantileverSpring, JointLength
 from pm3dof_pin.elastic.virtual_joints import lumps
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.programs.elimination import product, zeros
 from pm3dof_pin.programs.graph import Scalar
 from pm3dof_pin.programs.tree import Tree
@@ -88,7 +89,7 @@ def consistent_masses(model: ElasticModel, configuration: Configuration) -> tupl
     Shape=(nv, nv), and per velocity along the axes of the base, shape=(3, nv) [kg, kg m, kg m^2].
     """
     tree = model.mechanism.model
-    total, data = np.zeros((tree.nv + 3, tree.nv + 3)), tree.createData()  # the base moves along, too
+    total, data = np.zeros((tree.nv + 3, tree.nv + 3)), scratch_data(tree)  # the base moves along, too
     pin.computeJointJacobians(tree, data, np.array(configuration.q))
     for beam in _beams(model):
         length = beam.length if beam.block.length is None else model.length(beam.block, configuration)

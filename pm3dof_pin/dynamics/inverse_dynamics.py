@@ -17,6 +17,7 @@ from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads, weight_scale
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Matrix, Vector
 
@@ -88,7 +89,7 @@ def inverse_dynamics(
     motion = _loop_motion(configuration, rates, accelerations, joints=joints)
     model = model_with_payloads(mechanism, payloads)
     external = generalised_forces(configuration, wrenches)
-    load = pin.rnea(model, model.createData(), np.array(configuration.q), motion.velocity, motion.acceleration)
+    load = pin.rnea(model, scratch_data(model), np.array(configuration.q), motion.velocity, motion.acceleration)
     load = load - external
     free = np.zeros(model.nv)
     if motion.idle.size:

@@ -10,6 +10,7 @@ from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.typing import Matrix
 
 
@@ -26,7 +27,7 @@ def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = Non
     mechanism = mechanism_of(configuration)
     mechanism.require_possible_inertias()
     model = model_with_payloads(mechanism, payloads)
-    upper = np.triu(pin.crba(model, model.createData(), np.array(configuration.q)).reshape(model.nv, model.nv))
+    upper = np.triu(pin.crba(model, scratch_data(model), np.array(configuration.q)).reshape(model.nv, model.nv))
     return frozen(upper + np.triu(upper, 1).T)
 
 

@@ -25,6 +25,7 @@ from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.tolerances import MASSLESS
 from pm3dof_pin.typing import Array, Matrix, Vector
 
@@ -49,7 +50,7 @@ class Modes:
         Zero for joints that the mechanism does not have.
         """
         model = self.configuration.mechanism.model
-        data, names = model.createData(), list(joints)
+        data, names = scratch_data(model), list(joints)
         pin.computeJointJacobians(model, data, np.array(self.configuration.q))
         twists = np.zeros((self.shapes.shape[1], len(names), 6))
         for index, name in enumerate(names):

@@ -18,6 +18,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt, product, samples
 from pm3dof_pin.programs.graph import Graph, sqrt
@@ -83,7 +84,7 @@ def motion_dynamics(
         felt = idle.T @ mass
         if idle.size:
             motions = motions - idle @ np.linalg.lstsq(felt @ idle, felt @ motions, rcond=_NO_MASS)[0]
-        weight = pin.computeGeneralizedGravity(model, model.createData(), q)
+        weight = pin.computeGeneralizedGravity(model, scratch_data(model), q)
         return np.concatenate([(motions.T @ mass @ motions).ravel(), motions.T @ weight])
 
     values = evaluate_at(

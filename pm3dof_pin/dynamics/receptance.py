@@ -19,6 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -34,6 +35,7 @@ from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.exceptions import FreeDirectionError, InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
@@ -86,12 +88,10 @@ class VibratingSystem:
 
     def base_rows(self) -> Matrix:
         """Return the generalised forces of unit acceleration of the base along its axes, shape=(3, nv) [kg, kg m]."""
-        model = model_with_payloads(self.configuration.mechanism, self.payloads).copy()
-        data, q = model.createData(), np.array(self.configuration.q)
-        rows = np.empty((3, model.nv))
-        for row, direction in zip(rows, np.eye(3), strict=True):
-            model.gravity = pin.Motion(direction, np.zeros(3))
-            row[:] = pin.computeGeneralizedGravity(model, data, q)  # the force is minus mass times acceleration
+        model = model_with_payloads(self.configuration.mechanism, self.payloads)
+        data = scratch_data(model)
+        velocity = pin.jacobianCenterOfMass(model, data, np.array(self.configuration.q)).reshape(3, model.nv)
+        rows: Matrix = -data.mass[0] * velocity  # the force is minus mass times acceleration
         return rows - consistent_masses(self.model, self.configuration)[1]
 
     def receptance(self, frequencies: ArrayLike, outputs: Matrix, inputs: Matrix) -> Array:
@@ -138,8 +138,7 @@ class VibratingSystem:
         """
         if np.abs((outputs @ self.free_motions) @ (inputs @ self.free_motions).T).max(initial=0.0) > SOLVED:
             raise FreeDirectionError(f"{self.model.rigid.name}: the input moves the output with all springs at rest")
-        has_mass = self.inverse_squares > 0.0  # what moves no mass follows at once, and is left out
-        poles, residues = self._poles(has_mass, outputs, inputs)
+        poles, residues = self._residues(outputs, inputs)
         logarithms = np.log(2j * np.pi * np.asarray(edges, dtype=float)[:, None] - poles)
         bands = -1j / (2.0 * np.pi) * np.tensordot(np.array(levels), np.diff(logarithms, axis=0), axes=1)
         pairs = -(bands[:, None] + bands.conj()) / (poles[:, None] + poles.conj())
@@ -147,8 +146,10 @@ class VibratingSystem:
         covariance: Matrix = 0.5 * (products + products.T)
         return covariance
 
-    def _poles(self, kept: Mask, outputs: Matrix, inputs: Matrix) -> tuple[Array, Array]:
-        """Return poles of the modes with mass, shape=(2 e,), and residues of G, shape=(2 e, o, i)."""
+    @cached_property
+    def _poles(self) -> tuple[Mask, Array, Array, Array]:
+        """Modes with mass, poles of their state-space form, shape=(2 e,), and right and left vectors, (2 e, 2 e)."""
+        kept = self.inverse_squares > 0.0  # what moves no mass follows at once, and is left out
         roots = np.sqrt(self.inverse_squares[kept])
         scale = np.outer(1.0 / roots, 1.0 / roots)  # to unit modal mass
         stiffness = scale * (np.eye(len(roots)) + 1j * self.structural[np.ix_(kept, kept)])
@@ -156,7 +157,12 @@ class VibratingSystem:
         size = len(roots)
         state = np.block([[np.zeros((size, size)), np.eye(size)], [-stiffness, -damping]])
         poles, right = np.linalg.eig(state)
-        left = np.linalg.inv(right)
+        return kept, poles, right, np.linalg.inv(right)
+
+    def _residues(self, outputs: Matrix, inputs: Matrix) -> tuple[Array, Array]:
+        """Return poles of the modes with mass, shape=(2 e,), and residues of G, shape=(2 e, o, i)."""
+        kept, poles, right, left = self._poles
+        roots, size = np.sqrt(self.inverse_squares[kept]), len(poles) // 2
         seen = (outputs @ self.shapes[:, kept] / roots) @ right[:size]
         excited = left[:, size:] @ (inputs @ self.shapes[:, kept] / roots).T
         return poles, seen.T[:, :, None] * excited[:, None, :]

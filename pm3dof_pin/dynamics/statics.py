@@ -13,6 +13,7 @@ from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.singularity import singularities
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads, weight_scale
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Vector
 
@@ -71,7 +72,7 @@ def holding_forces(
     """
     mechanism = mechanism_of(configuration)
     model = model_with_payloads(mechanism, payloads)
-    gravity = pin.computeGeneralizedGravity(model, model.createData(), np.array(configuration.q))
+    gravity = pin.computeGeneralizedGravity(model, scratch_data(model), np.array(configuration.q)).copy()
     external = generalised_forces(configuration, wrenches)
     reference = weight_scale(model, mechanism.characteristic_length)
     reference += float(np.linalg.norm(mechanism.velocity_scale * external))

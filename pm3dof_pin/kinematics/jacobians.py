@@ -26,6 +26,7 @@ from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evalua
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.closed_motions import closed_motions
@@ -282,7 +283,7 @@ class ReferenceMotions:
     def _drifts(self, rates: Sequence[Rate], v: Vector) -> Vector:
         """Return the accelerations of rates at constant v, shape=(k,)."""
         robot, q = self._configuration.mechanism, np.array(self._configuration.q)
-        model, data = robot.model, robot.model.createData()
+        model, data = robot.model, scratch_data(robot.model)
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
         drifts = np.zeros(len(rates))
         for k, rate in enumerate(rates):

@@ -326,9 +326,10 @@ class Mechanism:
     def joint_axis(self, name: str) -> Vector:
         """Return the axis of a :meth:`single_joint` in the joint frame, a unit vector, shape=(3,)."""
         column = self.single_joint(name).v_index
-        data = self.model.createData()
-        jacobian = pin.computeJointJacobian(self.model, data, pin.neutral(self.model), self.model.getJointId(name))
-        twist = jacobian.reshape(6, self.model.nv)[:, column]
+        joint = self.model.joints[self.model.getJointId(name)]
+        data = joint.createData()
+        joint.calc(data, pin.neutral(self.model))
+        twist = np.reshape(data.S, (6, joint.nv))[:, column - joint.idx_v]
         direction = twist[3:] if twist[3:].any() else twist[:3]
         return np.asarray(direction / np.linalg.norm(direction))
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from copy import copy
 from itertools import combinations
 
 import numpy as np
 import pytest
 
+from pm3dof_pin.calibration import planning
 from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem, order_with_references
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
@@ -51,6 +53,25 @@ def test_nothing_better_exists_among_few(
     best = max(map(value, combinations(range(16), 4)))
     plan = small.plan(4, strategy, np.random.default_rng(0), restarts=5)  # type: ignore[arg-type]
     assert value(tuple(plan.indices)) == pytest.approx(best, rel=1e-12)
+
+
+@pytest.mark.parametrize("strategy", ["d-optimal", "tip-optimal"])
+def test_directions_that_no_candidate_sees_change_no_plan(
+    small: PlanningProblem, strategy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every parameter twice: the differences are invisible, and plans are those of an exchange among all unknowns."""
+    doubled = copy(small)
+    size = small._rows.shape[2]
+    both = np.hstack([np.eye(size), np.eye(size)])
+    doubled._rows, doubled._tip = small._rows @ both, both.T @ small._tip @ both
+    doubled._prior = np.kron(np.eye(2), small._prior)
+    plans = []
+    for large in (10 * size, 1):  # without and with the search for visible directions
+        doubled.__dict__.pop("_visible", None)
+        monkeypatch.setattr(planning, "_LARGE", large)
+        plans.append(doubled._chosen(8, strategy, np.random.default_rng(4), 1))  # type: ignore[arg-type]
+    assert doubled._visible[0].shape[2] <= size
+    np.testing.assert_array_equal(*plans)
 
 
 @pytest.mark.parametrize("count", [9, 20])
