@@ -49,6 +49,7 @@ class SerialConstants:
     """What to type for each of m joints of a serial model."""
 
     model: SerialModel  #: the ranges over the box
+    drives: tuple[str, ...]  #: names of the closed robot's actuated joints
     choice: Choice | Literal["at"]  #: which of a range was chosen; "at" for those at one pose
     at: Vector | None  #: that pose, shape=(m,) [rad, m]
     lower: Vector  #: ends of the box all of whose poses are reached, shape=(m,) [rad, m]
@@ -109,6 +110,7 @@ def serial_constants(
     middle, half = 0.5 * (model.lower + model.upper), 0.5 * (model.upper - model.lower)
     return SerialConstants(
         model=model,
+        drives=box.drives,
         choice=choice if at is None else "at",
         at=None if at is None else at.poses.coordinates,
         lower=frozen(middle - model.reached_scale * half),
@@ -139,7 +141,7 @@ def _numbers(at: Transmission, tree_inertia: Array, kp: ArrayLike | None, kd: Ar
 
 
 def _tree_inertia(at: Transmission, tree: Robot) -> Array:
-    """Return the inertia of a tree at the joints, shape=(..., m, m) [kg m^2, kg]."""
+    """Return the inertia of a tree at the joints, without their own armature, shape=(..., m, m) [kg m^2, kg]."""
     joints = [tree.single_joint(name) for name in at.joints]
     rates = [joint.v_index for joint in joints]
     data, q = tree.model.createData(), np.array(tree.home.q)
@@ -149,7 +151,7 @@ def _tree_inertia(at: Transmission, tree: Robot) -> Array:
             joint.set_coordinate(q, value)
         upper = np.triu(pin.crba(tree.model, data, q))
         found[index] = (upper + np.triu(upper, 1).T)[np.ix_(rates, rates)]
-    return found
+    return found - np.diag(tree.model.armature[rates])
 
 
 def _accelerations(tree: Array, closed: Array) -> Spread | None:

@@ -35,8 +35,8 @@ def export_serial(
 
     Limits, effort, velocity, armature, damping, friction and gains of the joints, of POSE (angles in degrees, lengths
     in metres) or over the box of --over, each with its error over the box in a comment, and in a JSON file. Joints in
-    loops other than those of --joints are fixed at home. The closed robot is written next to it as MJCF, and with --to
-    the mapping as in `pm3dof export function`.
+    loops other than those of --joints, and those of --hold, are fixed at home. The closed robot is written next to it
+    as MJCF, and with --to the mapping as in `pm3dof export function`.
     """
     from pm3dof_pin.capability.mapping_fit import fit_mapping
     from pm3dof_pin.capability.serial_constants import serial_constants
@@ -46,9 +46,8 @@ def export_serial(
     given = [name for name, value in (("--at", at), ("--worst", worst), ("--least-wrong", least_wrong)) if value]
     if len(given) > 1:
         raise typer.BadParameter(f"expected one of {' and '.join(given)}")
-    robot = which.load()
-    part = options.part(robot)
-    tree = serial_tree(robot, part)
+    robot, part = options.whole_and_part(which.load())
+    tree = serial_tree(robot, part, options.held)
     box = options.box(part)
     at_pose = at or not (worst or least_wrong or chosen.is_empty)
     constants = serial_constants(

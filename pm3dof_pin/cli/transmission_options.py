@@ -80,7 +80,11 @@ class TransmissionOptions:
     payload: Payload = 0.0
 
     def part(self, robot: Robot) -> Robot:
-        """Return the part of a robot that is asked about, with the joints as its coordinates.
+        """Return the part of a robot that is asked about, with the joints as its coordinates."""
+        return self.whole_and_part(robot)[1]
+
+    def whole_and_part(self, robot: Robot) -> tuple[Robot, Robot]:
+        """Return the robot, and the part of it that is asked about, with the joints as its coordinates.
 
         A home that is open, singular or beyond limits is replaced by the only assembly within limits, with a message.
         """
@@ -88,19 +92,25 @@ class TransmissionOptions:
         from pm3dof_pin.kinematics.assemblies import home_within_limits
 
         try:
-            if self.hold is not None:
-                robot = held_as_described(robot, _names(self.hold))
-            if (home := home_within_limits(robot)) is not None:
-                robot = robot.with_home(home.q)
+            part = robot if self.hold is None else held_as_described(robot, self.held)
+            if (home := home_within_limits(part)) is not None:
+                part = part.with_home(home.q)
                 message(
                     f"pm3dof: {robot.name}: its described home is open, singular or beyond limits; home is here the "
                     "only assembly found within all limits: pm3dof info --assemble writes it next to the file"
                 )
+            if home is not None or self.hold is not None:
+                robot = robot.with_home(_completed(robot, part))
             if self.subtree is not None:
-                robot = held_outside(robot, self.subtree, _names(self.joints))
-            return joint_driven(robot, _names(self.joints))
+                part = held_outside(part, self.subtree, _names(self.joints))
+            return robot, joint_driven(part, _names(self.joints))
         except (JointNotFoundError, FrameNotFoundError, InvalidValueError) as error:
             raise typer.BadParameter(str(error)) from error
+
+    @property
+    def held(self) -> list[str]:
+        """Joints of --hold."""
+        return _names(self.hold)
 
     def at(self, poses: Poses) -> Transmission:
         """Compute the transmission at one pose, of the given limits."""
@@ -171,6 +181,15 @@ def limits_of_drives(robot: Robot, **texts: str | None) -> dict[str, float | dic
                     f"--{name} {drive + '=' if drive else ''}{value:g}: expected a {expected} number"
                 )
     return given
+
+
+def _completed(robot: Robot, part: Robot) -> Vector:
+    """Return the home of a robot without some joints, completed by these as they are described."""
+    q, home = robot.described_home.q.copy(), part.home.q
+    for name, joint in zip(list(part.model.names)[1:], list(part.model.joints)[1:], strict=True):
+        start = robot.model.joints[robot.model.getJointId(name)].idx_q
+        q[start : start + joint.nq] = home[joint.idx_q : joint.idx_q + joint.nq]
+    return q
 
 
 def _names(text: str | None) -> list[str]:

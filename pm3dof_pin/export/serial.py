@@ -23,13 +23,14 @@ from pm3dof_pin.kinematics.robot import Robot
 _SAME_PLACE = 1e-6  # relative to the robot's size: the tool of the tree and that of the closed robot
 
 
-def serial_tree(robot: Robot, part: Robot) -> Description:
+def serial_tree(robot: Robot, part: Robot, rigid: Sequence[str] = ()) -> Description:
     """Return a robot without the loops of a part of it, whose joints in loops but its coordinates are fixed at home.
 
     Args:
         robot: the whole robot, which was read from files.
         part: the robot itself, or what one of its links carries, with joints as coordinates
             (:func:`~pm3dof_pin.capability.transmission.joint_driven`). Loops outside of it remain.
+        rigid: other joints that are fixed, as they are in the part.
 
     Raises:
         InvalidValueError: a coordinate is not a joint, or the tool does not hang on these joints.
@@ -38,7 +39,7 @@ def serial_tree(robot: Robot, part: Robot) -> Description:
     if joints != [coordinate.joint for coordinate in part.coordinates]:
         named = ",".join(c.joint for c in part.coordinates if c.joint is not None)
         raise InvalidValueError("joints", ", ".join(joints), f"joints of the tree, as --joints {named or 'A,B'}")
-    held = _joints_in_loops(part) - set(joints)
+    held = (_joints_in_loops(part) | set(rigid)) - set(joints)
     kept = {joint.name for joint in robot.description.joints if not joint.is_fixed} - held
     closed = {(loop.frame_a, loop.frame_b) for loop in part.closures}
     coupled = {coupling.joint for coupling in part.couplings}
@@ -66,7 +67,7 @@ def serial_tree(robot: Robot, part: Robot) -> Description:
         springs=(),
         configurations={
             name: {joint: values for joint, values in entries.items() if joint in kept}
-            for name, entries in robot.description.configurations.items()
+            for name, entries in (robot.description.configurations | _home_of_its_own(robot)).items()
         },
         files=None,
     )
@@ -74,14 +75,29 @@ def serial_tree(robot: Robot, part: Robot) -> Description:
     return tree
 
 
+def _home_of_its_own(robot: Robot) -> dict[str, dict[str, tuple[float, ...]]]:
+    """Return the home of a robot as an entry of its description, if :meth:`Robot.with_home` gave it another one."""
+    if "home" not in robot.named_configurations:
+        return {}
+    q, described = robot.named_configurations["home"], robot.description.configurations.get("home", {})
+    found = {}
+    for name, joint in zip(list(robot.model.names)[1:], list(robot.model.joints)[1:], strict=True):
+        found[name] = tuple(q[joint.idx_q : joint.idx_q + joint.nq].tolist()) if joint.nq == joint.nv else ()
+    return {"home": dict(described) | {name: values for name, values in found.items() if values}}
+
+
 def with_constants(tree: Description, constants: SerialConstants) -> Description:
-    """Return a tree with the constants of its joints: limits, armature, losses, and drives with gains."""
-    found, drives = {}, []
+    """Return a tree with the constants of its joints: limits, armature, losses, and drives with gains.
+
+    Losses of a joint that is a drive itself are among those of the drives, and do not count twice.
+    """
+    found, drives, drives_of_closed = {}, [], set(constants.drives)
     for k, name in enumerate(constants.model.joints):
         numbers: dict[str, Any] = {key: float(value[k]) for key, value in constants.values.items()}
         gains = {key: numbers.pop(key, None) for key in ("kp", "kd")}
         joint = tree.joint(name)
-        losses = {key: getattr(joint, key) + numbers.pop(key, 0.0) for key in ("damping", "friction")}
+        own = {key: 0.0 if name in drives_of_closed else getattr(joint, key) for key in ("damping", "friction")}
+        losses = {key: value + numbers.pop(key, 0.0) for key, value in own.items()}
         ends = {"lower": float(constants.lower[k]), "upper": float(constants.upper[k])}
         found[name] = replace(joint, **{"effort": None, "velocity": None} | ends | numbers | losses)
         force = None if "effort" not in numbers else (-numbers["effort"], numbers["effort"])

@@ -200,3 +200,38 @@ def test_what_does_not_work_is_named(run: Answer, tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match=r"sole.*pitch"):
         serial_tree(ankle, ankle)
     assert not list(tmp_path.iterdir())
+
+
+_BODY = '<inertial pos="0.05 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
+_HIP_AND_KNEE = f"""
+<mujoco model="leg"><compiler angle="degree" autolimits="true"/><default><joint axis="0 1 0"/></default><worldbody>
+<body name="torso"><body name="thigh"><joint name="hip" range="-60 60" armature="0.3" damping="0.7"/>{_BODY}
+<body name="crank"><joint name="crank" range="20 160" armature="0.02" damping="0.4"/>{_BODY}
+<body name="coupler" pos="0.1 0 0"><joint name="elbow"/>{_BODY}
+<body name="leaf" pos="0.1 0 0"><joint name="flexure" stiffness="500"/>{_BODY}<site name="end" pos="0.2 0 0"/></body>
+</body></body>
+<body name="rocker" pos="0.3 0 0"><joint name="rocker" range="20 160" armature="0.05"/>{_BODY}
+<site name="tip" pos="0.1 0 0"/></body></body></body></worldbody>
+<equality><connect site1="end" site2="tip"/></equality>
+<actuator><motor name="crank" joint="crank"/><motor name="hip" joint="hip"/></actuator></mujoco>"""
+
+
+def test_a_joint_that_is_a_drive_keeps_its_rotor_and_its_losses_once(answer: Answer, tmp_path: Path) -> None:
+    """A hip driven directly, and a knee by a parallelogram with a rigid leaf spring, whose zero is beyond limits."""
+    mujoco = pytest.importorskip("mujoco")
+    file = tmp_path / "leg.xml"
+    file.write_text(_HIP_AND_KNEE, encoding="utf-8")
+    options = ("--robot", str(file), "--joints", "hip,rocker", "--hold", "flexure")
+    options = (*options, "--over", "hip", "-10", "10", "2", "--over", "rocker", "60", "120", "3")
+    closed = answer("transmission", *options)
+    at = [f"{np.degrees(value):.12g}" for value in closed["pose_rad"]]
+    found = answer("export", "serial", *options, "--out", str(tmp_path / "out"), *at)
+    np.testing.assert_allclose(found["damping"]["value"], [0.7, 0.4], rtol=1e-9)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "leg_serial.xml"))
+    assert [model.joint(k).name for k in range(model.njnt)] == ["hip", "rocker"]
+    np.testing.assert_allclose(model.dof_damping, [0.7, 0.4], rtol=1e-9)
+    data = mujoco.MjData(model)
+    data.qpos[:] = closed["pose_rad"]
+    mujoco.mj_forward(model, data)
+    mass = _full_mass(mujoco, model, data)
+    np.testing.assert_allclose(np.diag(mass), np.diag(closed["inertia_kg_m2"]), rtol=1e-9)
