@@ -31,7 +31,7 @@ _UNITS = {
     "urad": ("rad", 1e-6),
     "ms": ("s", 1e-3),
 }
-_CONDITIONS = ("temperature_", "load_", "rise_")
+_CONDITIONS = ("temperature_", "load_", "rise_", "gradient_")
 
 
 def is_condition(column: str) -> bool:

@@ -61,6 +61,10 @@ class Thermal(_Numbers, frozen=True):
     #: links, screws, rods or groups (screws, drives, spindle) that are, each by itself, up to this much colder or
     #: warmer than the rest [K]; none by default
     bodies_K: dict[Name, NotNegative] = {}
+    #: links in which the temperature varies along each axis, by up to this to either side [K/m]; none by default
+    gradients_K_per_m: dict[Name, NotNegative] = {}
+    #: expansion of links, screws, rods or groups of another material, by name [1/K]; none by default
+    expansions_per_K: dict[Name, NotNegative] = {}
 
 
 class Load(_Numbers, frozen=True):

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.description.error_file import AXES, ErrorFile, TiedEntry, read_error_file
+from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.kinematics.robot import LoadOptions, Robot
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -388,6 +389,13 @@ def displacement_errors(
     for place in places:
         placement_on_body(robot, place)
     return [p for place in places for motion in motions for p in _axis_parameters(place, motion, group, 1.0)]
+
+
+def declared_numbers(robot: Robot) -> SourceNumbers:
+    """Return the magnitudes of a robot's sources, from its error file or defaults; DescriptionError if malformed."""
+    if robot.files is None or not robot.files.errors.is_file():
+        return SourceNumbers()
+    return read_error_file(robot.files.errors).sources
 
 
 def beside_guideways(robot: Robot) -> tuple[GeometricParameter, ...]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
@@ -16,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array
-from pm3dof_pin.description.error_file import read_error_file
-from pm3dof_pin.description.source_numbers import SourceNumbers
+from pm3dof_pin.description.error_file import AXES
+from pm3dof_pin.description.source_numbers import SourceNumbers, Thermal
 from pm3dof_pin.dynamics.batch import actuator_forces
-from pm3dof_pin.errors.body_temperatures import BodyTemperatures
+from pm3dof_pin.errors.body_temperatures import EVERYTHING, SCREWS, BodyTemperatures
 from pm3dof_pin.errors.command_correction import command_scales
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import (
@@ -28,6 +29,7 @@ from pm3dof_pin.errors.error_parameters import (
     GeometricErrors,
     all_parameters,
     beside_guideways,
+    declared_numbers,
     displacement_errors,
 )
 from pm3dof_pin.errors.normal_vectors import covariance_root
@@ -35,7 +37,7 @@ from pm3dof_pin.errors.pose_error import pose_difference
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.errors.thermal_growth import Bending, ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
-from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.exceptions import PM3DofError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.tolerances import ROUNDING
@@ -105,7 +107,7 @@ class ErrorSources:
     ) -> None:
         self.errors, self.large = errors, large
         self.distribution: Distribution = distribution
-        found = _declared_numbers(errors.robot) if numbers is None else numbers
+        found = declared_numbers(errors.robot) if numbers is None else numbers
         load, thermal = found.load, found.thermal
         self.wrench = finite_array("wrench", load.wrench if wrench is None else wrench, (6,))
         self.rise = float(finite_array("rise", thermal.rise_K if rise is None else rise, ()))
@@ -272,8 +274,7 @@ class _SourcesAtPoses:
         travels = (self._poses.commands - offsets) / self._scales
         per_kelvin = np.where(sources.slides, growth.travel_errors(travels, np.ones_like(travels)), 0.0)
         by_screw = self._by_drives * per_kelvin[:, None, :]
-        together = by_screw.sum(axis=2, keepdims=True)
-        together = together + self._by_members(growth)[:, :, None]
+        together = self._together(growth, by_screw)[:, :, None]
         if together.any() and sources.rise:
             words = "mean thermal growth of screws and members"
             yield self._uniform("thermal_growth", words, together * sources.rise)
@@ -290,19 +291,40 @@ class _SourcesAtPoses:
         if bent.any():
             yield self._uniform("thermal_bending", "bending of members by temperature gradients", bent)
 
+    def _together(self, growth: ThermalGrowth, by_screw: Array) -> Array:
+        """Effect of the mean rise on screws and members per kelvin, shape=(n, 6) [m/K, rad/K]."""
+        numbers = self._numbers.thermal
+        members, is_uniform = numbers.members, numbers.profile == Thermal().profile
+        if is_uniform and not isinstance(members, dict) and (self._robot.couplings or numbers.expansions_per_K):
+            return self._warming({EVERYTHING: members} | ({SCREWS: 1.0} if SCREWS in self._heat.names else {}))
+        return np.asarray(by_screw.sum(axis=2) + self._by_members(growth))
+
     def _bodies(self) -> Iterator[SourceErrors]:
-        """Single bodies colder or warmer than the rest, by differences of a warm machine."""
-        most = self._numbers.thermal.bodies_K
-        if any(most.values()):
-            heat = BodyTemperatures(
-                self._robot, np.array(self._sources.errors.fixed_bearings), self._numbers.thermal.expansion_per_K
-            )
-            per_kelvin = [
-                pose_difference(*(heat.poses(self._poses, {name: rise}) for rise in (-_WARM, _WARM))) / (2.0 * _WARM)
-                for name in most
-            ]
-            reach = np.stack(per_kelvin, axis=2) * list(most.values())
+        """Single bodies colder or warmer than the rest, or on one side, by differences of a warm machine."""
+        numbers = self._numbers.thermal
+        if any(numbers.bodies_K.values()):
+            reach = np.stack([self._warming({name: 1.0}) * most for name, most in numbers.bodies_K.items()], axis=2)
             yield self._uniform("thermal_bodies", "temperatures of single bodies", reach)
+        columns = []
+        for name, most in numbers.gradients_K_per_m.items():
+            for axis in AXES:
+                with suppress(UnreachablePoseError):  # it would strain the loops, as out of the plane of a planar robot
+                    columns.append(self._warming({f"{name}:{axis}": 1.0}) * most)
+        if columns:
+            yield self._uniform("thermal_fields", "temperature gradients in bodies", np.stack(columns, axis=2))
+
+    @cached_property
+    def _heat(self) -> BodyTemperatures:
+        errors = self._sources.errors
+        return BodyTemperatures(self._robot, np.array(errors.fixed_bearings), self._numbers.thermal)
+
+    def _warming(self, rises: dict[str, float]) -> Array:
+        """Effect of temperatures in the units given, shape=(n, 6) [m, rad]."""
+        ends = [
+            self._heat.poses(self._poses, {name: sign * _WARM * rise for name, rise in rises.items()})
+            for sign in (-1.0, 1.0)
+        ]
+        return pose_difference(*ends) / (2.0 * _WARM)
 
     def _by_members(self, growth: ThermalGrowth) -> Array:
         """Effect of the growth of all members per kelvin, shape=(n, 6) [m/K, rad/K]."""
@@ -398,10 +420,3 @@ class _SourcesAtPoses:
 def _of_waves(count: int) -> tuple[float, float]:
     """Return the standard deviation of waves of random phase in amplitudes, and their total reach in deviations."""
     return float(np.sqrt(0.5 * count)), float(np.sqrt(2.0 * count))
-
-
-def _declared_numbers(robot: Robot) -> SourceNumbers:
-    """Return the magnitudes of a robot's sources, from its error file or defaults; DescriptionError if malformed."""
-    if robot.files is None or not robot.files.errors.is_file():
-        return SourceNumbers()
-    return read_error_file(robot.files.errors).sources

@@ -15,6 +15,7 @@ from pm3dof_pin.errors.error_parameters import (
     displacement_errors,
     placement_on_body,
 )
+from pm3dof_pin.errors.expansion_field import carrying_frame
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Vector
@@ -98,7 +99,7 @@ class ThermalGrowth:
         growth: dict[str, float] = {}
         for place, share in self.members.items():
             placement = placement_on_body(robot, place)
-            carrier = self._carrier(robot, place)
+            carrier = carrying_frame(robot, place, self.members)
             start = np.zeros(3) if carrier is None else placement_on_body(robot, carrier).translation
             length = placement.rotation.T @ (placement.translation - start)
             if place in robot.actuated_joints and robot.single_joint(place).translates:
@@ -135,18 +136,6 @@ class ThermalGrowth:
             names = (f"{place}.{kind}{axis}" for kind in "tr" for axis in AXES)
             bends.append({name: float(amount) for name, amount in zip(names, local, strict=True) if amount})
         return bends
-
-    def _carrier(self, robot: Robot, place: str) -> str | None:
-        """Return the nearest member on the same body, a frame, that carries a place, or None."""
-        frames = robot.model.frames
-        entry = frames[robot.frame_id(place)]
-        body = robot.model.parents[entry.parentJoint] if robot.model.existJointName(place) else entry.parentJoint
-        above = frames[entry.parentFrame]
-        while above.parentJoint == body and above.parentFrame > 0:
-            if above.name in self.members and not robot.model.existJointName(above.name):
-                return str(above.name)
-            above = frames[above.parentFrame]
-        return None
 
     def _integral(self, distance: Array) -> Array:
         """Integrate the profile from the bearing to a distance."""

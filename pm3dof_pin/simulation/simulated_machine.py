@@ -19,6 +19,7 @@ from pm3dof_pin.errors.error_parameters import (
     GeometricErrors,
     all_parameters,
     beside_guideways,
+    declared_numbers,
 )
 from pm3dof_pin.errors.normal_vectors import correlated_normal
 from pm3dof_pin.errors.pose_error import moved_pose
@@ -191,7 +192,7 @@ class SimulatedMachine:
         carried, q = self._at(commands + self._scales * too_far, guesses, rises.mean(axis=1), offsets, wrenches)
         if not conditions.body_rises:
             return carried, q
-        heat = BodyTemperatures(self.nominal, self._bearings)
+        heat = BodyTemperatures(self.nominal, self._bearings, declared_numbers(self.nominal).thermal)
         poses = self.nominal.forward(commands, guess=guesses)
         return moved_pose(carried, heat.motions(poses, conditions.body_rises)), q
 
