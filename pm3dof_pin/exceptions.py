@@ -229,11 +229,12 @@ class MeasurementError(PM3DofError):
 
     Attributes:
         path: the file.
+        problem: what is wrong with it.
         rows: the affected lines of the file, the header being line 1; empty if all are.
     """
 
     def __init__(self, path: Path | str, problem: str, rows: Sequence[int] = ()) -> None:
-        self.path = Path(path)
+        self.path, self.problem = Path(path), problem
         self.rows = tuple(rows)
         super().__init__(f"{self.path}: {lines_in_words(self.rows)}{problem}")
 

@@ -85,7 +85,7 @@ def read_table(robot: Robot, path: Path, *, given: Given = "coordinates", used: 
 
 def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None, as_json: bool) -> None:
     """Write columns about many poses and the limits they break; exit with status 1 if any pose breaks one."""
-    table = {**columns, BROKEN_LIMITS: _limit_words(poses)}
+    table = {**columns, BROKEN_LIMITS: limit_words(poses)}
     inside = int(poses.within_limits.sum())
     if as_json:
         counts = {"robot": poses.robot.name, "poses": len(poses), "poses_within_limits": inside}
@@ -188,7 +188,7 @@ def _turns_without_end(robot: Robot, coordinate: Coordinate) -> bool:
     return coordinate.joint is not None and not math.isfinite(np.ptp(robot.range_of(coordinate)))
 
 
-def _limit_words(poses: Poses) -> list[str]:
+def limit_words(poses: Poses) -> list[str]:
     """Return one word per pose: the limit groups it breaks, or "reach" if it is out of reach."""
     names = ("reach", *(group.name for group in poses.robot.limit_groups))
     return [

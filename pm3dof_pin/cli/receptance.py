@@ -252,7 +252,7 @@ def _unit(robot: Robot, pair: tuple[str, str]) -> str:
 
 
 def _inverse_unit(unit: str) -> str:
-    return {"m/N": "N/m", "rad/(N m)": "N m/rad"}.get(unit, f"1/({unit})")
+    return {"m/N": "N/m", "rad/(N m)": "N m/rad", "rad/N": "N/rad", "m/(N m)": "N m/m"}.get(unit, f"1/({unit})")
 
 
 def _of_pair(
@@ -261,21 +261,22 @@ def _of_pair(
     at, lowest = int(np.abs(curve).argmax()), int(curve.real.argmin())
     output, source = system.rows([pair[0]])[0], _rows(system, pair[1])[0]
     parts = system.shares(float(frequencies[at]), output, source)
-    shares = (parts * curve[at].conj()).real / abs(curve[at]) ** 2
+    size = np.linalg.norm(output @ system.shapes) * np.linalg.norm(source @ system.shapes)
+    is_rigid = abs(curve[at]) <= SOLVED * size  # no spring or mass lets the source move the output
     static: float | None = None
     with suppress(FreeDirectionError):
         rest = system.receptance([0.0], output[None], source[None])[0, 0, 0].real
-        static = 1.0 / rest if abs(rest) > SOLVED * abs(curve[at]) else None
+        static = 1.0 / rest if abs(rest) > SOLVED * abs(curve[at]) and not is_rigid else None
     return {
         "to": pair[0],
         "from": pair[1],
         "unit": unit,
         "static_stiffness": static,
-        "dynamic_stiffness_minimum": 1.0 / abs(curve[at]),
-        "critical_frequency_Hz": frequencies[at],
-        "negative_real_part": min(float(curve.real.min()), 0.0),
-        "negative_real_part_frequency_Hz": frequencies[lowest],
-        "mode_shares": shares,
+        "dynamic_stiffness_minimum": None if is_rigid else 1.0 / abs(curve[at]),
+        "critical_frequency_Hz": None if is_rigid else frequencies[at],
+        "negative_real_part": 0.0 if is_rigid else min(float(curve.real.min()), 0.0),
+        "negative_real_part_frequency_Hz": None if is_rigid else frequencies[lowest],
+        "mode_shares": None if is_rigid else (parts * curve[at].conj()).real / abs(curve[at]) ** 2,
         "real": curve.real,
         "imaginary": curve.imag,
     }
@@ -284,6 +285,10 @@ def _of_pair(
 def _lines(results: list[dict[str, Any]]) -> list[str]:
     rows = []
     for entry in results:
+        if entry["mode_shares"] is None:
+            word = "rigid" if entry["to"] == entry["from"] else "none"
+            rows.append([f"{entry['to']} / {entry['from']}", word, *[""] * 6])
+            continue
         order = np.argsort(-np.abs(entry["mode_shares"]))[:_SHOWN_SHARES]
         shares = [f"{k + 1}: {100.0 * entry['mode_shares'][k]:z.0f} %" for k in order]
         static = entry["static_stiffness"]

@@ -74,7 +74,9 @@ def _place_and_expected(message: str, data: Any, schema: Any) -> tuple[str, str]
     if unknown := _UNKNOWN.fullmatch(problem):
         return _joined(place, unknown[1]), f"unknown key, expected some of {', '.join(sorted(_fields(form)))}"
     if missing := _MISSING.fullmatch(problem):
-        return _joined(place, missing[1]), "is missing"
+        needed = _fields(form).get(missing[1])
+        words = f", expected {' or '.join(map(str, get_args(needed)))}" if get_origin(needed) is Literal else ""
+        return _joined(place, missing[1]), f"is missing{words}"
     if problem.startswith("Invalid enum value"):
         return place, f"expected one of {', '.join(map(str, get_args(form)))}, not {reprlib.repr(value)}"
     if str(value).lstrip("+-").lower() in ("nan", "inf", "infinity"):

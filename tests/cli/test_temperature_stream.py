@@ -35,8 +35,8 @@ def test_a_file_and_standard_input_are_answered_alike(folder: Path, tmp_path: Pa
     table = json.loads(CliRunner().invoke(app, [*options, str(tmp_path / "rows.csv"), "--json"]).stdout)["columns"]
     commands = np.column_stack([table[f"u{k}_m"] for k in (1, 2, 3)])
     lines = CliRunner().invoke(app, [*options, "-"], input=f"# a comment\n{ROWS}").stdout.splitlines()
-    assert lines[0].endswith("u1_m,u2_m,u3_m")
-    streamed = np.loadtxt(io.StringIO("\n".join(lines[1:])), delimiter=",")[:, -3:]
+    assert lines[0].endswith("u1_m,u2_m,u3_m,broken_limits")
+    streamed = np.loadtxt(io.StringIO("\n".join(lines[1:])), delimiter=",", usecols=(4, 5, 6))
     np.testing.assert_allclose(streamed, commands, atol=1e-11)
     # a machine that is warm all over is a scaled one: its counters read as if the platform were asked to be lower, at
     # z / (1 + a dT), where the level platform's legs reach it
@@ -48,9 +48,10 @@ def test_a_file_and_standard_input_are_answered_alike(folder: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("theta_x_deg,theta_y_deg,z_e_m\n0,0,0.49\n", "rise_platform_K"),
+        ("theta_x_deg,theta_y_deg,z_e_m\n0,0,0.49\n", "names: all, screws"),
         ("theta_x_deg,theta_y_deg,z_e_m,rise_gantry_K\n0,0,0.49,3\n", "gantry"),
         ("", "header"),
+        ("theta_x_deg,theta_y_deg,z_e_m,rise_all_K\n0,0,0.49,3\n\n0,0,0.49\n", "standard input: line 4: 3 cells"),
     ],
 )
 def test_wrong_rows_are_refused(folder: Path, text: str, message: str) -> None:

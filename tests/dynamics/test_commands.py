@@ -197,6 +197,27 @@ def test_receptance_between_points_of_other_robots() -> None:
     assert (floor["to"], floor["unit"]) == ("tool:z", "m/(m/s^2)")
 
 
+def test_directions_that_nothing_moves_are_rigid(tmp_path: Path) -> None:
+    """One mass of 10 kg on a spring and a damper along x: G = 1 / (k - m w^2 + i c w); nothing gives along y."""
+    (tmp_path / "one.urdf").write_text(
+        '<robot name="one"><link name="ground"/><link name="mass">'
+        '<inertial><mass value="10"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="slide" type="prismatic">'
+        '<parent link="ground"/><child link="mass"/><axis xyz="1 0 0"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    (tmp_path / "one.closures.yaml").write_text(
+        "{closed_loop: [], type: [], name_mot: [slide], tool_frame: mass, springs: [{name: k, type: joint, "
+        "joint: slide, stiffness: 1.0e+6, unit: N/m, damping: 200.0, loss_factor: 0.0}]}"
+    )
+    found = _answer("receptance", "0", "--robot", str(tmp_path / "one.urdf"))
+    along, across = found["receptances"][:2]
+    omega = 2.0 * np.pi * np.array(found["frequency_Hz"])
+    expected = 1.0 / (1e6 - 10.0 * omega**2 + 200j * omega)
+    np.testing.assert_allclose(np.array(along["real"]) + 1j * np.array(along["imaginary"]), expected, rtol=1e-11)
+    assert across["dynamic_stiffness_minimum"] is across["mode_shares"] is across["static_stiffness"] is None
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
