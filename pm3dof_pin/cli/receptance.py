@@ -25,7 +25,7 @@ from pm3dof_pin.cli.pictures import Formats, save
 from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.dynamics.damping import LOSS_FACTOR, Damping
-from pm3dof_pin.dynamics.dynamic_stiffness import dynamic_stiffness
+from pm3dof_pin.dynamics.dynamic_stiffness import RIGID, dynamic_stiffness
 from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
 from pm3dof_pin.dynamics.servo_loop import GAIN_MARGIN, ServoLimit, servo_limit
 from pm3dof_pin.dynamics.stability_lobes import Cutting, StabilityLobes, stability_lobes
@@ -42,6 +42,7 @@ _SPEED_COUNT = 400
 _WORDS = {"direction": ("up", "down"), "plane": ("xy", "yx", "xz", "zx", "yz", "zy")}
 _BASE = {f"base:{axis}": row for row, axis in enumerate("xyz")}
 _SHOWN_SHARES = 3
+_MIN_LOSS = 1e-6  # of a mode, by which the heights of peaks are compared
 
 _From = Annotated[
     list[str] | None,
@@ -122,7 +123,7 @@ def receptance(
         return
     system = vibrating_system(model, pose.configuration(), **options)
     pairs = _pairs(sources, outputs)
-    frequencies = _frequencies(system, band, count)
+    frequencies = _frequencies(system, pairs, band, count)
     curves = {pair: (_curve(system, frequencies, pair), _unit(machine, pair)) for pair in pairs}
     results = [_of_pair(system, pair, frequencies, *curves[pair]) for pair in pairs]
     result: dict[str, Any] = {
@@ -208,6 +209,8 @@ def _pairs(sources: list[str] | None, outputs: list[str] | None) -> list[tuple[s
     if outputs is None:
         assert sources is not None
         return [("tool" + point[4:] if point in _BASE else point, point) for point in sources]
+    for to in _BASE.keys() & set(outputs):
+        raise InvalidValueError("--to", to, "a frame or joint that moves relative to the base")
     return [(to, point) for to in outputs for point in (sources or outputs)]
 
 
@@ -220,19 +223,27 @@ def _rows(system: VibratingSystem, point: str) -> Matrix:
 
 def _curve(system: VibratingSystem, frequencies: Vector, pair: tuple[str, str]) -> Array:
     to, point = pair
-    if to in _BASE:
-        raise InvalidValueError("--to", to, "a frame or joint that moves relative to the base")
     curve: Array = system.receptance(frequencies, system.rows([to]), _rows(system, point))[:, 0, 0]
     return curve
 
 
-def _frequencies(system: VibratingSystem, band: tuple[float, float] | None, count: int) -> Vector:
+def _frequencies(
+    system: VibratingSystem, pairs: Sequence[tuple[str, str]], band: tuple[float, float] | None, count: int
+) -> Vector:
+    """Return frequencies [Hz]: by default up to beyond the mode that gives each pair its highest peak."""
     around = system.frequencies_around_modes()
     if band is None:
         finite = system.frequencies[np.isfinite(system.frequencies)]
         if not len(finite):
             raise InvalidValueError("the robot's masses", problem="are all zero", expected="bodies with mass")
-        band = (0.1 * float(finite[0]), 1.5 * float(finite[: len(TOOL_COMPONENTS)][-1]))
+        losses, times = (np.diagonal(part)[: len(finite)] for part in (system.structural, system.viscous))
+        losses = np.maximum(losses + 2.0 * np.pi * finite * times, _MIN_LOSS)
+        highest = [min(len(finite), len(TOOL_COMPONENTS)) - 1]
+        for to, source in pairs:
+            if not _is_fixed(system, to):
+                peaks = (system.rows([to])[0] @ system.shapes) * (_rows(system, source)[0] @ system.shapes)
+                highest.append(int(np.argmax(np.abs(peaks[: len(finite)]) / losses)))
+        band = (0.1 * float(finite[0]), 1.5 * float(finite[max(highest)]))
     inside = around[(around > band[0]) & (around < band[1])]
     frequencies: Vector = np.union1d(np.geomspace(*band, count), inside)
     return frequencies
@@ -262,7 +273,7 @@ def _of_pair(
     output, source = system.rows([pair[0]])[0], _rows(system, pair[1])[0]
     parts = system.shares(float(frequencies[at]), output, source)
     size = np.linalg.norm(output @ system.shapes) * np.linalg.norm(source @ system.shapes)
-    is_rigid = abs(curve[at]) <= SOLVED * size  # no spring or mass lets the source move the output
+    is_rigid = abs(curve[at]) <= SOLVED * size or (size > 0.0 and _is_fixed(system, pair[0]))
     static: float | None = None
     with suppress(FreeDirectionError):
         rest = system.receptance([0.0], output[None], source[None])[0, 0, 0].real
@@ -280,6 +291,15 @@ def _of_pair(
         "real": curve.real,
         "imaginary": curve.imag,
     }
+
+
+def _is_fixed(system: VibratingSystem, point: str) -> bool:
+    """Tell whether no spring lets a point move in its direction, as far as rounding tells."""
+    frame, separator, component = point.rpartition(":")
+    if not separator:
+        return not np.any(system.rows([point]) @ system.shapes)
+    sizes = np.linalg.norm(system.rows([f"{frame}:{axis}" for axis in TOOL_COMPONENTS]) @ system.shapes, axis=1)
+    return bool(sizes[TOOL_COMPONENTS.index(component)] <= RIGID * sizes.max())
 
 
 def _lines(results: list[dict[str, Any]]) -> list[str]:

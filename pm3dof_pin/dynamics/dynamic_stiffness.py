@@ -1,9 +1,9 @@
 """The least dynamic stiffness of the tool at many poses, its frequency, and the most negative real part.
 
-Frequencies are chosen by pose: at rest, and around each of the lowest natural modes in multiples of its damping, where
-the extremes of lightly damped modes lie; a parabola through the best three refines them. A depth of cut that keeps the
-force in one direction is stable at every speed below -1 / (2 K_s min Re G), K_s being the cutting force per depth and
-chip thickness (J. Tlusty and M. Polacek, 1963).
+Frequencies are chosen by pose: at rest, and around the natural modes that move the tool most, in multiples of their
+damping, where the extremes of lightly damped modes lie; a parabola through the best three refines them. A depth of cut
+that keeps the force in one direction is stable at every speed below -1 / (2 K_s min Re G), K_s being the cutting force
+per depth and chip thickness (J. Tlusty and M. Polacek, 1963).
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.tolerances import MASSLESS
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
-_MODES = 12  # lowest natural modes around which frequencies are chosen
+_MODES = 12  # natural modes around which frequencies are chosen
 _MIN_RATIO = 1e-3  # of damping, by which frequencies of undamped modes are spread
 _SPREAD = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 2.0, 4.0])  # dampings from a natural frequency
 _CHUNK = 200  # poses solved at once
-_RIGID = 1e-12  # movements of an axis, relative to the largest [m or rad], that are rounding of none
+RIGID = 1e-12
+"""Movements in a direction, relative to the largest [m or rad], that are rounding of none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +148,9 @@ def _of_batch(
 
 def _extremes(inverse_squares: Array, twists: Array, structural: Array, viscous: Array) -> Array:
     """Return the extremes of n systems in their modes, shape=(n, 3, 6); infinite stiffness where the tool is rigid."""
-    omegas = _frequencies(inverse_squares, structural, viscous)
+    omegas = _frequencies(inverse_squares, twists, structural, viscous)
     largest = np.abs(twists).max(axis=2)
-    is_rigid = largest <= _RIGID * largest.max(axis=1, keepdims=True)
+    is_rigid = largest <= RIGID * largest.max(axis=1, keepdims=True)
     direct = _direct_receptances(omegas, inverse_squares, twists, structural, viscous)
     greatest, at = _peaks(omegas, np.abs(direct))
     lowest, _ = _peaks(omegas, -direct.real)
@@ -161,15 +162,20 @@ def _extremes(inverse_squares: Array, twists: Array, structural: Array, viscous:
     return np.stack(values, axis=1)
 
 
-def _frequencies(inverse_squares: Array, structural: Array, viscous: Array) -> Array:
+def _frequencies(inverse_squares: Array, twists: Array, structural: Array, viscous: Array) -> Array:
     """Return angular frequencies at which to look, ascending, shape=(n, f) [rad/s]."""
     with np.errstate(divide="ignore"):
-        natural = 1.0 / np.sqrt(inverse_squares[:, :_MODES])
+        natural = 1.0 / np.sqrt(inverse_squares)
     natural = np.where(np.isfinite(natural), natural, 0.0)
-    count = natural.shape[1]
-    losses = np.einsum("nrr->nr", structural)[:, :count]
-    ratios = 0.5 * (losses + natural * np.einsum("nrr->nr", viscous)[:, :count])
-    ratios = np.clip(ratios, _MIN_RATIO, 0.2)
+    losses = np.einsum("nrr->nr", structural) + natural * np.einsum("nrr->nr", viscous)
+    ratios = np.clip(0.5 * losses, _MIN_RATIO, 0.2)
+    if natural.shape[1] > _MODES:
+        # by the height of each mode's own peak in each direction, relative to the highest there
+        peaks = np.where(natural[:, None] > 0.0, twists**2 / ratios[:, None], 0.0)
+        highest = peaks.max(axis=2, keepdims=True)
+        shares = (peaks / np.where(highest > 0.0, highest, 1.0)).max(axis=1)
+        kept = np.argsort(-shares, axis=1, kind="stable")[:, :_MODES]
+        natural, ratios = (np.take_along_axis(values, kept, axis=1) for values in (natural, ratios))
     steps = np.concatenate([-_SPREAD[:0:-1], _SPREAD])
     around = natural[:, :, None] * (1.0 + ratios[:, :, None] * steps)
     omegas = np.concatenate([np.zeros((len(natural), 1)), around.reshape(len(natural), -1)], axis=1)

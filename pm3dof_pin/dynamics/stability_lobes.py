@@ -134,8 +134,9 @@ def _critical(loops: Array) -> tuple[Matrix, Matrix]:
 
 def _envelope(frequencies: Vector, depths: Matrix, angles: Matrix, passes: Vector, limit: float) -> Vector:
     """Return the least depth of all lobes at rates of passes or teeth [1/s]; the limit where no lobe is followed."""
-    envelope = np.full(len(passes), np.inf)
-    slowest = np.inf
+    order = np.argsort(passes)
+    rising, least = passes[order], np.full(len(passes), np.inf)
+    slowest = 0.0
     for depth, angle in zip(depths.T, angles.T, strict=True):
         joined = np.isfinite(depth[:-1]) & np.isfinite(depth[1:]) & (np.abs(np.diff(angle)) < np.pi)
         first = np.flatnonzero(joined)
@@ -143,14 +144,19 @@ def _envelope(frequencies: Vector, depths: Matrix, angles: Matrix, passes: Vecto
             continue
         for turn in range(_TURNS):
             rate = 2.0 * np.pi * frequencies / (angle + 2.0 * np.pi * turn + 1e-300)
-            start, step = rate[first], rate[first + 1] - rate[first]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                part = (passes[:, None] - start) / step
-            crossed = (part >= 0.0) & (part <= 1.0)
-            at = np.where(crossed, depth[first] + part * (depth[first + 1] - depth[first]), np.inf)
-            envelope = np.fmin(envelope, at.min(axis=1))
-            if rate[first].max() < passes.min():
+            start, end = rate[first], rate[first + 1]
+            if start.max() < rising[0]:
                 break
-            slowest = min(slowest, float(rate[first].min())) if turn == _TURNS - 1 else slowest
-    envelope[passes < (slowest if np.isfinite(slowest) else 0.0)] = limit
+            below = np.searchsorted(rising, np.minimum(start, end), side="left")
+            counts = np.searchsorted(rising, np.maximum(start, end), side="right") - below
+            k = np.repeat(np.arange(len(first)), counts)  # of each crossing of a piece of a lobe, the piece
+            at = below[k] + np.arange(len(k)) - np.repeat(np.cumsum(counts) - counts, counts)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                part = (rising[at] - start[k]) / (end - start)[k]
+            np.fmin.at(least, at, depth[first[k]] + part * (depth[first[k] + 1] - depth[first[k]]))
+        else:
+            slowest = max(slowest, float(start.min()))
+    envelope = np.empty(len(passes))
+    envelope[order] = least
+    envelope[passes < slowest] = limit
     return envelope

@@ -202,7 +202,8 @@ def test_directions_that_nothing_moves_are_rigid(tmp_path: Path) -> None:
     (tmp_path / "one.urdf").write_text(
         '<robot name="one"><link name="ground"/><link name="mass">'
         '<inertial><mass value="10"/>'
-        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="slide" type="prismatic">'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="slide" type="prismatic">'
         '<parent link="ground"/><child link="mass"/><axis xyz="1 0 0"/>'
         '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
     )

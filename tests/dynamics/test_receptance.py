@@ -125,6 +125,19 @@ def test_many_poses_have_the_extremes_of_a_fine_sweep(name: str) -> None:
     np.testing.assert_allclose(found.negative_real_part[0], direct.real.min(axis=0), rtol=2e-3)
 
 
+def test_the_modes_that_move_the_tool_are_found_among_many() -> None:
+    """At home the first 15 modes of three_rps, of its struts by themselves, do not move the tool up."""
+    model = ElasticModel.load("three_rps")
+    system = vibrating_system(model, model.rigid.home)
+    found = dynamic_stiffness(model, model.rigid.home.q)
+    tool = system.rows(["tool:z"])
+    sweep = np.geomspace(5.0, 1000.0, 4000)
+    direct = np.abs(system.receptance(sweep, tool, tool)[:, 0, 0])
+    assert sweep[direct.argmax()] > 1.2 * system.frequencies[11]
+    assert found.minimum[2] == pytest.approx(1.0 / direct.max(), rel=2e-3)
+    assert found.critical_frequency[2] == pytest.approx(sweep[direct.argmax()], rel=2e-3)
+
+
 def test_viscous_programs_agree_with_the_reference() -> None:
     model = ElasticModel.load("pm3dof")
     poses = model.rigid.solve(model.rigid.grid(z_e=(0.45, 0.55, 250)))
