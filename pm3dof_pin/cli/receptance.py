@@ -154,7 +154,10 @@ def receptance(
         lines += ["", *_lobes_lines(lobes)]
     if as_json:
         result["frequency_Hz"] = frequencies
-    files = [] if folder is None else _write(folder, machine, frequencies, curves, lobes, formats)
+    moving = {
+        pair: curves[pair] for pair, entry in zip(pairs, results, strict=True) if entry["mode_shares"] is not None
+    }
+    files = [] if folder is None else _write(folder, machine, frequencies, moving, lobes, formats)
     if files:
         result["files"] = list(map(str, files))
     for file in files:
@@ -392,7 +395,8 @@ def _write(
     rows = [header, *np.column_stack(parts).tolist()]
     files = [write_text_atomically(folder / "receptance.csv", csv_text(rows))]
     named = {f"{to} / {source}": values for (to, source), values in curves.items()}
-    files += save(receptance_curves(robot.name, frequencies, named), folder / "receptance", formats)
+    if named:
+        files += save(receptance_curves(robot.name, frequencies, named), folder / "receptance", formats)
     if lobes is not None and np.isfinite(lobes.depth_limit):
         speeds, depths = 60.0 * lobes.speeds, lobes.depths
         table = [["speed_1_per_min", "depth_m"], *np.column_stack([speeds, depths]).tolist()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,6 +14,7 @@ from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, 
 from pm3dof_pin.typing import Array, Vector
 
 _COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+_NARROWEST, _WIDER = 0.9, 0.5  # width of the last line, and of each before it more than the next [points]
 
 
 def receptance_curves(robot: str, frequencies: Vector, curves: Mapping[str, tuple[Array, str]]) -> Figure:
@@ -25,11 +27,13 @@ def receptance_curves(robot: str, frequencies: Vector, curves: Mapping[str, tupl
         figure = new_figure(TWO_COLUMNS, 6.6)
         magnitude, phase, real = figure.subplots(3, 1, sharex=True)
         figure.subplots_adjust(left=0.11, right=0.97, top=0.94, bottom=0.14, hspace=0.12)
-        for (name, (values, _)), color in zip(curves.items(), _COLORS * len(curves), strict=False):
+        widths = _NARROWEST + _WIDER * np.arange(len(curves))[::-1]  # those below, at symmetric poses, stay visible
+        for (name, (values, _)), color, width in zip(curves.items(), _COLORS * len(curves), widths, strict=False):
             shown = values if len(units) == 1 else values / abs(values[0])
-            magnitude.loglog(frequencies, np.abs(shown), color=color, label=name)
-            phase.semilogx(frequencies, np.degrees(np.unwrap(np.angle(shown))), color=color)
-            real.semilogx(frequencies, shown.real, color=color)
+            style: dict[str, Any] = {"color": color, "linewidth": width}
+            magnitude.loglog(frequencies, np.abs(shown), label=name, **style)
+            phase.semilogx(frequencies, np.degrees(np.unwrap(np.angle(shown))), **style)
+            real.semilogx(frequencies, shown.real, **style)
         unit = f"[{units.pop()}]" if len(units) == 1 else "relative to static"
         magnitude.set_ylabel(f"|G| {unit}")
         phase.set_ylabel("phase [deg]")

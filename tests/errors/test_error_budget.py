@@ -18,10 +18,10 @@ from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_budget import TOGETHER, ErrorBudget, error_budget
 from pm3dof_pin.errors.error_map import error_map
-from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.error_parameters import GeometricErrors, declared_numbers
 from pm3dof_pin.errors.normal_vectors import expected_norm
 from pm3dof_pin.errors.pose_error import energy, moved_pose, pose_difference, tip_error, tip_weights
-from pm3dof_pin.errors.source_errors import ErrorSources, SourceErrors, _declared_numbers
+from pm3dof_pin.errors.source_errors import ErrorSources, SourceErrors
 from pm3dof_pin.errors.waviness import GuideWaviness
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
@@ -268,7 +268,7 @@ def test_mean_lengths_of_normal_vectors() -> None:
 
 
 def test_numbers_of_the_file(tmp_path: object, tripod_errors: GeometricErrors) -> None:
-    assert _declared_numbers(tripod_errors.robot).thermal.expansion_per_K == 11.5e-6
+    assert declared_numbers(tripod_errors.robot).thermal.expansion_per_K == 11.5e-6
     bad = [
         ({"termal": {}}, "termal"),
         ({"drives": {"backlash_m": -1e-6}}, "backlash_m"),
