@@ -76,6 +76,10 @@ class Configuration:
     def __repr__(self) -> str:
         return f"Configuration({self._mechanism.name}, q={self._q}, closure_residual={self.closure_residual:.3e})"
 
+    def __str__(self) -> str:
+        numbers = np.array2string(self._q, precision=4, suppress_small=True, threshold=12, separator=", ")
+        return f"q = {numbers} of {self._mechanism.name}"
+
     @property
     def mechanism(self) -> Mechanism:
         """The mechanism."""

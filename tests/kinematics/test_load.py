@@ -54,6 +54,7 @@ def test_a_model_without_a_name_is_a_robot() -> None:
     robot = pm.load(pin.buildSampleModelManipulator())
     assert str(robot) == repr(robot)
     assert repr(robot).startswith("Robot(robot: 6 joints")
+    assert str(robot.home) == f"q = [0., 0., 0., 0., 0., 0.] of {robot.name}"  # as messages name it
 
 
 @pytest.mark.parametrize("source", [3, None, ["ur5"], {"robot": "ur5"}])
