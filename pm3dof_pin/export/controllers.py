@@ -35,14 +35,15 @@ def placed_by_tool(robot: Robot) -> Robot:
     """Return a robot with coordinates that place the tool, where the commands would be its coordinates.
 
     They are as many components of the tool's placement as it has drives, such as x, y and rz of a planar platform. A
-    robot with declared coordinates, without a tool, with one drive, or whose drives do not all move the tool stays.
+    robot with declared coordinates, without a tool, with one drive, or whose drives do not all move the tool stays. The
+    new one has programs of its own, since coordinates decide what branches are.
     """
     if robot.declared_coordinates or robot.tool_frame is None or robot.coordinates != robot.command_coordinates:
         return robot
     components = motion_components(generic_configuration(robot.home))
     if not 1 < len(components) == len(robot.commands):
         return robot
-    return robot.replace(coordinates=tool_coordinates(components))
+    return robot.replace(coordinates=tool_coordinates(components)).with_home(robot.home.q)
 
 
 def export_controller(
@@ -88,9 +89,10 @@ def export_controller(
     """
     require_choice("controller", controller, ControllerName)
     require_choice("real", real, Real)
-    robot = placed_by_tool(robot)
-    if calibrated is not None:
-        calibrated = calibrated.replace(coordinates=robot.coordinates)
+    placed = placed_by_tool(robot)
+    if placed is not robot and calibrated is not None:
+        calibrated = placed.replace(model=calibrated.model, closures=calibrated.closures)
+    robot = placed
     described = Controller(robot, calibrated=calibrated, deviations=deviations)
     if controller == "c":
         files = c_files(described, real=real, header_only=header_only)

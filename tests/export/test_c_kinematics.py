@@ -19,7 +19,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
-from pm3dof_pin.export.controllers import export_controller
+from pm3dof_pin.export.controllers import export_controller, placed_by_tool
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -136,6 +136,28 @@ def test_random_round_trips_and_limits(name: str, library: Callable[..., Library
             status, back = compiled.forward(commands)
             assert status == OK
             assert np.abs(back - values).max() < 1e-9
+
+
+def test_robot_without_coordinates_is_placed_by_its_tool(tmp_path: Path) -> None:
+    """Every pose that forward reaches is on the branch on which inverse answers with the same commands."""
+    bare = pm.load(MACHINES / "five_bar").replace(coordinates=())
+    assert bare.coordinates == bare.command_coordinates
+    placed = placed_by_tool(bare)
+    assert [c.tool for c in placed.coordinates] == ["x", "y"]
+    assert placed_by_tool(placed) is placed
+    compiled = Library(Controller(placed), tmp_path)
+    results = []
+    for commands in np.random.default_rng(3).uniform(-1.2, 1.2, (300, 2)):
+        status, pose = compiled.forward(commands)
+        results.append(status)
+        if status == OK:
+            compiled.functions["start"](ctypes.byref(compiled.model), ctypes.byref(compiled.state))
+            status, back = compiled.inverse(pose)
+            if status != OPEN:  # a straight line from home to the pose leaves the workspace
+                assert status == OK
+                assert np.abs(back - commands).max() < 1e-9
+    assert results.count(OK) > 100
+    assert results.count(BEYOND) > 10
 
 
 def test_jacobian_is_the_derivative_of_inverse(library: Callable[..., Library]) -> None:
