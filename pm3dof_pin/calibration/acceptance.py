@@ -8,7 +8,8 @@ of the deviations at target i, up and down, and B_i their difference,
 
 diagonals (ISO 230-6): the same on the four body diagonals of a box; the greatest of each.
 circular (ISO 230-4): G, the range of radii about the least-squares centre, of each direction; H, the greatest
-difference between the directions at one angle; F, greatest and least deviation from the nominal radius.
+difference between the directions at one angle, interpolated between samples; F, greatest and least deviation from the
+nominal radius.
 probing (after ISO 230-10): P, the range of the distances of 25 touches from the centre of the least-squares sphere, and
 its size error.
 
@@ -49,6 +50,7 @@ _COLUMNS: dict[AcceptanceTest, tuple[str, ...]] = {
     "probing": ("x_m", "y_m", "z_m"),
 }
 _MIN_RUNS, _MIN_TARGETS, _MIN_TOUCHES, _MIN_ANGLES = 2, 5, 9, 12
+_FAR_APART = np.radians(5.0)  # samples of a path farther apart have nothing to say of what is between
 _DRAWS = 400
 _RINGS = ((0.0, 1, 0.0), (22.5, 4, 0.0), (45.0, 8, 22.5), (67.5, 4, 0.0), (90.0, 8, 22.5))  # ISO 10360-5
 _ROUNDS = 10  # of Gauss-Newton
@@ -293,10 +295,24 @@ def _circular(data: dict[str, Array], radius: float | None) -> dict[str, float]:
         found[f"G_{word}"] = float(np.ptp(about))
         if radius is not None:
             found[f"F_max_{word}"], found[f"F_min_{word}"] = float(about.max() - radius), float(about.min() - radius)
-        paths[word] = {int(place): float(radii[places == place].mean()) for place in np.unique(places)}
-    if len(paths) > 1 and (common := sorted(set(paths["ccw"]) & set(paths["cw"]))):
-        found["H"] = max(abs(paths["ccw"][place] - paths["cw"][place]) for place in common)
+        turns, numbers = np.unique(places, return_inverse=True)
+        paths[word] = turns * _SAME, np.bincount(numbers, radii) / np.bincount(numbers)
+    if len(paths) == 2:
+        apart = _between(*paths["cw"], paths["ccw"][0]) - paths["ccw"][1]
+        if np.isfinite(apart).any():
+            found["H"] = float(np.nanmax(np.abs(apart)))
     return found
+
+
+def _between(angles: Array, radii: Array, at: Array) -> Array:
+    """Return a path's radii at other angles, shape=(n,); NaN where its own are too far apart."""
+    around = 2.0 * np.pi
+    known = np.concatenate([angles[-1:] - around, angles, angles[:1] + around])
+    after = np.searchsorted(known, at - _SAME).clip(1, len(known) - 1)
+    # both ends of the gap that an angle is in, unless the angle is one of them
+    far = (known[after] - known[after - 1] > _FAR_APART) & (np.abs(known[after] - at) > _SAME)
+    radius = np.interp(at, known, np.concatenate([radii[-1:], radii, radii[:1]]))
+    return np.asarray(np.where(far, np.nan, radius))
 
 
 def _probing(data: dict[str, Array], radius: float | None) -> dict[str, float]:

@@ -45,6 +45,8 @@ from pm3dof_pin.typing import OnFailure
 logger = logging.getLogger(__name__)
 
 _FAILURES = (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError)
+_CLEARLY = 0.95  # ratio of noise factors from which unknown zeros are what residuals come from
+_SAID = 0.02  # tolerances from which the zero of a drive is named
 _WITHIN = 0.5  # least fraction of the validation poses within their bounds
 _LISTED = 10  # parameters named in a warning
 
@@ -121,7 +123,8 @@ def calibrate(
 
     Parameters are identified and a correction learned (:func:`~pm3dof_pin.calibration.fit.fit`), then evaluated on
     measured poses held out in turn. Error parameters with which the loops cannot close are left out. If no error file
-    says how well the drives' zeros are known and the result would be refused, they are taken as unknown.
+    says how well the drives' zeros are known, they are taken as unknown where the result would be refused otherwise, or
+    where that explains residuals beyond the noise.
 
     Example:
         >>> import numpy as np
@@ -181,14 +184,15 @@ def calibrate(
         fitted, held_out, against = _judged(seen, errors, options)
     except _FAILURES as error:
         failure = error
-    if undeclared and (failure is not None or against):
+    if undeclared and (failure is not None or against or not fitted.scatters):
         # nobody said that the drives are homed to absolute marks
         with contextlib.suppress(*_FAILURES):
             again = _judged(seen, with_free_zeros(errors), options)
-            if not again[2]:
+            if not again[2] and (failure is not None or against or _explains_more(again[0], fitted)):
                 (fitted, held_out, against), failure = again, None
                 warnings.append(_zeros_in_words(fitted))
-                logger.warning("%s", warnings[-1])
+    for warning in (*warnings, *(() if failure is not None else fitted.warnings)):
+        logger.warning("%s", warning)
     if failure is not None:
         cause = likely_cause(seen, errors, options.eta)
         raise CalibrationRefusedError([str(failure), *filter(None, [cause])]) from failure
@@ -198,6 +202,11 @@ def calibrate(
         if on_refusal == "raise":
             raise CalibrationRefusedError(against)
     further = [] if against else list(doubts(fitted, seen))
+    if (tails := fitted.compensation.scatter.tails) > 1.0:
+        further.append(
+            "more poses than chance explains are far from where they should be: what is not explained counts "
+            f"{tails:.1f} times in the 95 % bounds"
+        )
     judged = None
     if others is not None:
         judged = HeldOut.from_validation(fitted, others)
@@ -217,11 +226,16 @@ def calibrate(
 
 def _judged(seen: Measurements, errors: GeometricErrors, options: Options) -> tuple[Fit, HeldOut | None, list[str]]:
     """Return a fit with its cross-validation, and what speaks against it."""
-    fitted = fit(seen, errors, options)
+    fitted = fit(seen, errors, options, quiet=True)
     held_out = HeldOut.from_cross_validation(fitted) if fitted.can_be_judged else None
     if held_out is not None:
         fitted = fitted.with_scatter(held_out.scatter)
     return fitted, held_out, refusals(fitted, held_out)
+
+
+def _explains_more(other: Fit, fitted: Fit) -> bool:
+    """Tell whether another fit leaves clearly smaller residuals."""
+    return other.identification.noise_factor < _CLEARLY * fitted.identification.noise_factor
 
 
 def _zeros_in_words(fitted: Fit) -> str:
@@ -229,7 +243,7 @@ def _zeros_in_words(fitted: Fit) -> str:
     zeros = [
         f"{name} {1e3 * value:.3g} m{parameter.unit}"
         for name, value, parameter in zip(found.errors.names, found.values, found.errors.parameters, strict=True)
-        if parameter.group == "zeros"
+        if parameter.group == "zeros" and abs(value) > _SAID * parameter.tolerance
     ]
     return f"the zeros of the drives are far from the description, so they were taken as unknown: {', '.join(zeros)}"
 
@@ -251,9 +265,7 @@ def _closing(errors: GeometricErrors) -> tuple[GeometricErrors, list[str]]:
     if not dropped:
         return errors, []
     some = ", ".join(dropped[:_LISTED]) + (" ..." if len(dropped) > _LISTED else "")
-    warning = f"{len(dropped)} parameters are left out because the loops cannot close with them: {some}"
-    logger.warning("%s", warning)
-    return fitting, [warning]
+    return fitting, [f"{len(dropped)} parameters are left out because the loops cannot close with them: {some}"]
 
 
 def _name_of(validation: Measurements | Path | str | None) -> str:

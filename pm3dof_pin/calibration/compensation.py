@@ -233,6 +233,9 @@ class Compensation:
             return
         answer.commands[taken], answer.deviations[taken] = commands, deviations
         answer.predicted_error[taken] = np.sqrt(np.sum(left**2, axis=1) + np.einsum("nii->n", spread))
+        if self.scatter.tails > 1.0:
+            control = weighted_control(nearest, self.eta)
+            spread = spread + (self.scatter.tails**2 - 1.0) * self.scatter.covariances(control)
         answer.error_bound[taken] = norm_quantiles(left, spread, COVERAGE, signed)
 
     def poses(self, nominal: Poses, conditions: Conditions | None = None) -> Poses:

@@ -250,6 +250,7 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
         "unexplained_m": compensation.scatter.tip_error,
         "scatter_everywhere_m2": compensation.scatter.everywhere.tolist(),
         "scatter_of_drives": compensation.scatter.drives.tolist(),
+        "scatter_tails": compensation.scatter.tails,
         "parameters": list(compensation.errors.names),
         "values": None if compensation.values is None else compensation.values.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
@@ -274,13 +275,14 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
         learned = LearnedPart.from_data(data["pseudo_error"], inputs)
     size = float(data["unexplained_m"])
     everywhere = np.broadcast_to(np.array(data.get("scatter_everywhere_m2", size**2 / 6.0), dtype=float), 2)
+    drives = np.array(data.get("scatter_of_drives", []), dtype=float)
     return Compensation(
         errors,
         None if data["values"] is None else errors.values(data["values"]),
         None if data["covariance"] is None else np.array(data["covariance"], dtype=float),
         learned,
         float(data["eta_m_per_rad"]),
-        Scatter(everywhere, np.array(data.get("scatter_of_drives", []), dtype=float), size),
+        Scatter(everywhere, drives, size, tails=float(data.get("scatter_tails", 1.0))),
         {name: (float(factor), float(sigma)) for name, (factor, sigma) in data.get("stiffness", {}).items()},
         _session(data.get("session", {})),
     )

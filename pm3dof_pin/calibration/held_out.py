@@ -49,7 +49,8 @@ class HeldOut:
             95 %, see :mod:`pm3dof_pin.calibration.scatter`; None for a learning method, near singular poses, and
             from the noise factor :data:`~pm3dof_pin.calibration.fit.SMOOTH` on.
         scatter: errors of the corrected machine beyond the known uncertainty.
-        within: fraction of the visits at which the remaining error is below the bound of :data:`COVERAGE`.
+        within: fraction of the visits, poses with outliers included, at which the remaining error is below the bound of
+            :data:`COVERAGE`.
         energies: E of (8.15), E_xyz + eta E_orientation, of `before`, `after` and `floor`, shape=(3, visits) [m].
         notes: what to know about their evaluation.
     """
@@ -105,7 +106,12 @@ class HeldOut:
         units = [command.unit for command in errors.robot.commands]
         scores = _Scores.joined(parts)[np.argsort(np.concatenate(starts))].with_visible_tool()
         seen = (scores.missed, scores.covariances, scores.shown, scores.control, units)
-        return _together(calibration, rows, scores, Scatter.from_errors(*seen), Scatter.from_errors(*seen, least=1.0))
+        scatter, sure = Scatter.from_errors(*seen), Scatter.from_errors(*seen, least=1.0)
+        judged = _Scores.joined([scores, *_outlying(calibration)])
+        scatter = scatter.with_tails(judged.missed, judged.covariances, judged.shown, judged.control)
+        return replace(
+            _together(calibration, rows, scores, scatter, sure), within=float(np.mean(judged.within(scatter)))
+        )
 
     @classmethod
     def from_validation(cls, calibration: Fit, measurements: Measurements) -> HeldOut:
@@ -199,6 +205,13 @@ class _Scores:
         seen = np.asarray(self.shown.any(axis=(1, 2)))
         return self[seen] if seen.any() else self
 
+    def within(self, scatter: Scatter) -> Mask:
+        """Tell which visits are within the bounds that a scatter gives, shape=(visits,)."""
+        scattered = scatter.tails**2 * scatter.covariances(self.control)
+        spread = self.covariances + self.shown @ scattered @ self.shown
+        bounds = norm_quantiles(np.zeros_like(self.missed), spread, COVERAGE)
+        return np.asarray(np.linalg.norm(self.missed, axis=1) <= bounds)
+
 
 def _scores_of(compensation: Compensation, measurements: Measurements, final: Compensation) -> _Scores:
     if compensation.values is not None:
@@ -233,6 +246,20 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
     return _Scores(errors, noise, moved, left.errors, known, left.shown, control, of_all, effects)
 
 
+def _outlying(calibration: Fit) -> list[_Scores]:
+    """Return the scores of the poses with outliers, which were not fitted, as far as they can be judged."""
+    found = calibration.identification
+    if not found.outliers:
+        return []
+    numbers = found.measurements.pose_numbers
+    outlying = np.flatnonzero(np.isin(numbers, numbers[list(found.outliers)]))
+    with contextlib.suppress(UnreachablePoseError):  # a mistake in the commands
+        settled = found.settle(found.measurements[outlying])
+        scores = _scores_of(calibration.compensation, settled, calibration.compensation)
+        return [scores[np.asarray(scores.shown.any(axis=(1, 2)))]]
+    return []
+
+
 def _together(calibration: Fit, rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
     """Combine the errors, with `scatter` for the bounds and the certain part of it, `sure`, for the excess."""
     errors = _registered(scores, calibration.identification)
@@ -240,9 +267,7 @@ def _together(calibration: Fit, rows: Indices, scores: _Scores, scatter: Scatter
     energies = np.array([weighted_energy(each) for each in errors])
     gains, left = control_inverse(scores.control), sure.covariances(scores.control)
     excess = np.sqrt(np.einsum("nij,njk,nik->n", gains, scores.uncertain + left, gains) / gains.shape[1])
-    spread = scores.covariances + scores.shown @ scatter.covariances(scores.control) @ scores.shown
-    bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
-    within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
+    within = float(np.mean(scores.within(scatter)))
     interval = sure.excess_interval(scores.effects, scores.control) if calibration.scatters else None
     return HeldOut(rows, before, after, floor, scores.noise, excess, interval, scatter, within, energies)
 

@@ -25,13 +25,14 @@ and is approximated by a scaled chi square with the same two moments (F. Sattert
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.optimize
 import scipy.special
 
 from pm3dof_pin.calibration.pseudo_error import control_inverse
+from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.typing import Array
 
 COVERAGE = 0.95
@@ -41,6 +42,9 @@ _PROBABILITIES = np.array([0.5 - 0.5 * COVERAGE, 0.5 + 0.5 * COVERAGE])
 _ROUNDS = 20
 _SETTLED = 1e-3
 _RIDGE = 1e-9
+_MISTAKE = 4.0  # times its bound: an error of eight or more standard deviations
+_CHANCE = 0.05  # probability of widening the bounds of a machine with normal errors
+_TAILS = 1.1 ** np.arange(1, 25)  # up to 10
 _WHOLE = 5.5  # average number of shown directions per pose needed to separate positions from orientations
 _DIRECTIONS = np.stack([np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])])
 
@@ -57,6 +61,8 @@ class Scatter:
     #: d is proportional to the square of these, shape=(drives,); and the covariance of a, b and that factor
     alike: Array = field(default_factory=lambda: np.zeros(0))
     uncertainty: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    #: factor on the scatter in bounds; above 1 for a machine whose errors have longer tails than normal ones
+    tails: float = 1.0
 
     @classmethod
     def from_errors(
@@ -104,6 +110,36 @@ class Scatter:
         tip_error = float(np.sqrt(3.0 * everywhere.sum() + drives * np.count_nonzero(alike)))
         places = [0, len(parts) - 2, len(parts) - 1]
         return cls(everywhere, drives * alike**2, tip_error, alike, unit**2 * uncertainty[np.ix_(places, places)])
+
+    def with_tails(self, errors: Array, covariances: Array, shown: Array, control: Array) -> Scatter:
+        """Return the scatter with the factor in bounds that errors of held-out poses, outliers among them, ask for.
+
+        Where more of them than chance explains are beyond their bounds, the scatter is widened until as many are within
+        as bounds promise. Errors several times their bounds are taken for mistakes of measuring, not of the machine.
+
+        Args:
+            errors: tip-weighted, shape=(n, 6) [m].
+            covariances: their known part, K, shape=(n, 6, 6) [m^2].
+            shown: projections on the directions they were seen in, shape=(n, 6, 6).
+            control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
+        """
+        lengths, zeros = np.linalg.norm(errors, axis=1), np.zeros_like(errors)
+        scatter = shown @ self.covariances(control) @ shown
+
+        def bounds(tails: float) -> Array:
+            return norm_quantiles(zeros, covariances + tails**2 * scatter, COVERAGE)
+
+        usual = bounds(1.0)
+        kept = lengths <= _MISTAKE * usual
+        count, beyond = int(np.count_nonzero(kept)), int(np.count_nonzero(kept & (lengths > usual)))
+        # the probability of as many or more if the bounds were right
+        if beyond == 0 or scipy.special.bdtrc(beyond - 1, count, 1.0 - COVERAGE) > _CHANCE:
+            return self
+        most = int((1.0 - COVERAGE) * (count + 1))  # a new pose is as likely in any place among these
+        for tails in _TAILS:
+            if np.count_nonzero(kept & (lengths > bounds(tails))) <= most:
+                break
+        return replace(self, tails=float(tails))
 
     def covariances(self, control: Array) -> Array:
         """Return the covariance of tip-weighted errors, shape=(n, 6, 6) [m^2].

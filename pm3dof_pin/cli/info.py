@@ -221,7 +221,7 @@ def _reach(robot: Robot) -> dict[str, Any]:
 
 
 def _reach_line(result: dict[str, Any], robot: Robot) -> list[str]:
-    if not robot.has_loops or result["home_refused"]:
+    if not robot.has_branches or result["home_refused"]:
         return []
     bounds = result["branch_conditions"]
     words = f"poses are reached up to {' and '.join(bounds) or 'no'} singularities"

@@ -61,7 +61,7 @@ def preset(
     if name == "zeros-only":
         return _zeros(robot), ()
     if name in ("complete", "dh"):
-        if name == "dh" and robot.has_loops:
+        if name == "dh" and robot.closures:
             raise InvalidValueError("preset", name, f"a serial arm; {robot.name} has closed loops: take complete")
         found = with_free_zeros(_complete(robot))
         return error_entries(found if process is None else with_process(found, process)), ()

@@ -194,7 +194,7 @@ class Controller:
             state = np.concatenate([q, [1.0, 0.0], self.targets(coordinates, values)[0]])
             margin = walk.step.evaluate(state[None], numbers)[:, walk.step.slices["margin"].start]
             modes.append(regularity_and_mode(margin)[1][0])
-        branch = self.programs["branch"].evaluate(q[None], numbers)[0, 0] if robot.has_loops else 0.0
+        branch = self.programs["branch"].evaluate(q[None], numbers)[0, 0] if robot.has_branches else 0.0
         model = Model(np.concatenate([numbers, q, modes, [branch]]), np.empty((0, 0)))
         table = None if deviations is None else CorrectionTable.from_deviations(robot, deviations)
         return replace(model, golden=self._golden(robot, model), correction=table)

@@ -100,7 +100,7 @@ class Branches:
 
         Where the coordinates are the commands, those of the loops are parallel singularities.
         """
-        if not self._robot.has_loops:
+        if not self._robot.has_branches:
             return ()
         own = any(system.rows is not None for system in self._systems)
         found = {self.kind(1)} if own else set()
@@ -108,7 +108,7 @@ class Branches:
 
     def number(self, q: Vector) -> int:
         """Return the number of the branch of a closed configuration: 0 for that of the start, otherwise bits."""
-        if not self._robot.has_loops:
+        if not self._robot.has_branches:
             return 0
         flips = self._flips(self._determinants(q))
         return sum(1 << bit for bit, is_flipped in enumerate(flips) if is_flipped)
@@ -193,7 +193,7 @@ class Branches:
     @cached_property
     def _is_regular(self) -> bool:
         """Whether home is well away from singular configurations, compared with configurations nearby."""
-        if not self._robot.has_loops:
+        if not self._robot.has_branches:
             return True
         usual = np.quantile([self._regularity(q) for q in self._nearby], 0.5, axis=0)
         return bool((self._regularity(self._home.q) > _REGULAR * usual).all())

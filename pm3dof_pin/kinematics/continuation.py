@@ -148,7 +148,7 @@ class Continuation:
         """Walk from q to the targets, in place; permitted damped steps start from there and from home."""
         found, ends = self._reached(q, targets, keep_branch=keep_branch)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
-        if self._robot.has_loops and failed.size:
+        if self._robot.has_branches and failed.size:
             failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]  # open at the start
         if failed.size:
             found[failed] = self._damped(ends[failed], targets[failed], home_too=home_too)
@@ -160,7 +160,7 @@ class Continuation:
         """Walk to targets; return the poses there, NaN where none is on the branch, and the ends of the walks."""
         walked = self._walked(q, targets, shortest)
         reached = walked.status == REACHED
-        if keep_branch and self._robot.has_loops and (rows := np.flatnonzero(reached)).size:
+        if keep_branch and self._robot.has_branches and (rows := np.flatnonzero(reached)).size:
             others = rows[self._branches(walked.q[rows]) != self._branches(q[rows])]
             # at a singular pose signs are undefined
             reached[others] = self._regularity_and_mode(walked.q[others])[0] <= WALK.regularity
@@ -292,7 +292,7 @@ class Continuation:
             starts = _solved_neighbours(q)
             frontier = untried & np.isfinite(starts[..., 0])
             if not frontier.any():  # islands
-                if not self._robot.has_loops:
+                if not self._robot.has_branches:
                     q[untried] = self._damped(
                         np.tile(self._home, (int(untried.sum()), 1)), values[untried], home_too=False
                     )

@@ -126,7 +126,7 @@ def _further_starts(
     The inverse kinematics of a serial arm has many, distant solutions. The reachable set of a machine with loops may
     have holes, which walks must go around.
     """
-    if robot.has_loops:
+    if robot.has_branches:
         yield _nearest_poses(robot, coordinates, *solver.lattice, targets)
     elif any(coordinate.tool is not None for coordinate in coordinates):
         shape = (_FURTHER_STARTS, robot.model.nv)

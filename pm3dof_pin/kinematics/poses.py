@@ -170,7 +170,7 @@ class Poses:
             SingularConfigurationError: several branches meet at home.
         """
         numbers = np.zeros(self.shape, dtype=np.int64)
-        for index in map(tuple, np.argwhere(self.solved)) if self.robot.has_loops else ():
+        for index in map(tuple, np.argwhere(self.solved)) if self.robot.has_branches else ():
             numbers[index] = branches_of(self.robot).number(self.q[index])
         return frozen(numbers)
 

@@ -65,7 +65,7 @@ class Reference:
                 home = start_of(self._robot)
         given = np.tile(start_of(self._robot), (len(targets), 1)) if starts is None else starts
         found = np.full(given.shape, np.nan)
-        branches = self._branches(given) if keep_branch and self._robot.has_loops else None
+        branches = self._branches(given) if keep_branch and self._robot.has_branches else None
         for row in np.flatnonzero(np.isfinite(targets).all(axis=1) & np.isfinite(given).all(axis=1)):
             found[row] = _Walk(self._robot, self._coordinates, branches, given[row], home).to(targets[row])
         return Solution(found)
@@ -157,7 +157,7 @@ class _Walk:
         """Return the pose at the target, NaN if none is found."""
         robot, q = self._robot, self._start
         start = robot.configuration(q)
-        if not robot.has_loops or start.closure_residual > self._robot.closure_tolerance:
+        if not robot.has_branches or start.closure_residual > self._robot.closure_tolerance:
             guesses = (q,) if self._home is None else (q, self._home)
             results = (assemble_at(robot, self._coordinates, target, guess) for guess in guesses)
             return next((result.q for result in results if result.converged), np.full_like(q, np.nan))

@@ -482,7 +482,7 @@ class Robot(PlacedMechanism):
         result = assemble_at(self, coordinates, target, start)
         pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, target, strict=True))
         reason = f"residual {result.residual:.3e} m or rad"
-        if result.converged and self.has_loops:
+        if result.converged and self.has_branches:
             reason = self._reference(coordinates).obstacle(start, target)
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
         return UnreachablePoseError(message, result.residual, reason)

@@ -180,7 +180,7 @@ def coordinates_over(
 def _density(robot: Robot) -> float:
     if robot.engine != "program" or robot.reason_without_programs() is not None:
         return _SLOW
-    return 1.0 if robot.has_loops or all(c.tool is None for c in robot.coordinates) else _OF_ARMS
+    return 1.0 if robot.has_branches or all(c.tool is None for c in robot.coordinates) else _OF_ARMS
 
 
 def _default_names(robot: Robot) -> tuple[str, ...]:

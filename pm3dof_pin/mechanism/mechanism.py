@@ -243,6 +243,14 @@ class Mechanism:
         return bool(self.closures or self.couplings)
 
     @property
+    def has_branches(self) -> bool:
+        """Whether singular poses may separate assembly modes.
+
+        An arm with gears, or with a gripper of which one finger follows the other, passes its singular poses like any.
+        """
+        return bool(self.closures or not all(coupling.is_linear for coupling in self.couplings))
+
+    @property
     def constraint_names(self) -> tuple[str, ...]:
         """Names of the closures, then of the couplings, in the order of :attr:`LoopKinematics.rows`."""
         return (*(loop.name for loop in self.closures), *(coupling.name for coupling in self.couplings))

@@ -225,7 +225,7 @@ class PathEvaluation:
         A robot with loops has numbered branches instead. `work` has places, forces and rates by the length of the path
         of the drives' joints, of the points and if there is one of the point before.
         """
-        if self.robot.has_loops:
+        if self.robot.has_branches:
             return
         scale = self.robot.velocity_scale[self.robot.actuated_indices]
         steps, length = np.abs(np.diff(work[0], axis=0)), self.timed.length[part]

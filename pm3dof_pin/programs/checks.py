@@ -42,7 +42,7 @@ def checks_program(
                 is_broken = is_broken | condition
             broken = broken + select(is_broken, 2.0**bit, 0.0)
     outputs: dict[str, Any] = {"residual": closure_residual(tree), "broken": broken}
-    if task is not None and mechanism.loop_kinematics.row_count:
+    if task is not None and mechanism.has_branches:
         outputs["branch"] = branch_number(tree, task, mechanism.actuated_indices.tolist())
     if mechanism.tool_frame is not None:
         tool = tree.frame(mechanism.tool_frame)

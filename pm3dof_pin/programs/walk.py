@@ -193,8 +193,8 @@ def branch_program(mechanism: Mechanism, coordinates: Task, samples: ArrayLike, 
     """Record the number of a configuration's branch, see :func:`~pm3dof_pin.programs.closing.branch_number`."""
     graph = Graph()
     tree = Tree(graph, mechanism, samples, dense=dense)
-    has_loops = mechanism.loop_kinematics.row_count > 0
-    number = branch_number(tree, coordinates, mechanism.actuated_indices.tolist()) if has_loops else 0.0
+    drives = mechanism.actuated_indices.tolist()
+    number = branch_number(tree, coordinates, drives) if mechanism.has_branches else 0.0
     return graph.program("branch", {"branch": number})
 
 

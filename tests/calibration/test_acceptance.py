@@ -73,6 +73,20 @@ def test_circular(tmp_path: Path) -> None:
     assert found.uncertainties["G_ccw"] < 1e-8
 
 
+@pytest.mark.parametrize("arc", [360.0, 220.0])
+def test_directions_are_compared_between_samples_too(tmp_path: Path, arc: float) -> None:
+    """A ballbar's samples never lie at the same angles twice; there is nothing to compare outside its arc."""
+    rows, generator = ["angle_deg,direction,radius_m"], np.random.default_rng(2)
+    for side, more in ((1, 0.0), (-1, 4e-6)):
+        angles = np.sort(generator.uniform(0.0, arc, 900))
+        radii = 0.1 + 5e-6 * np.cos(np.radians(2.0 * angles)) + more
+        rows += [f"{a!r},{side},{r!r}" for a, r in zip(angles.tolist(), radii.tolist(), strict=True)]
+    path = tmp_path / "circle.csv"
+    path.write_text("\n".join(rows))
+    # linear in between, at most 3 degrees apart
+    assert evaluate_acceptance("circular", path).values["H"] == pytest.approx(4e-6, abs=2e-8)
+
+
 def test_probing_as_another_optimiser_fits_it(tmp_path: Path) -> None:
     points, _ = planned_targets("probing", (0.1, 0.2, 0.3, 0.0125))
     assert len(points) == 25

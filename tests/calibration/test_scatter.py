@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from pm3dof_pin.calibration.scatter import Scatter
 
@@ -81,3 +82,28 @@ def test_covariances_are_the_sum_of_all() -> None:
     one_by_one = [directions + c @ np.diag(drives) @ c.T for c in control]
     np.testing.assert_allclose(Scatter(EVERYWHERE, drives).covariances(control), one_by_one)
     np.testing.assert_allclose(Scatter(EVERYWHERE).covariances(control), [directions] * 5)
+
+
+def test_bounds_hold_for_a_machine_whose_errors_have_long_tails() -> None:
+    """One pose in eight is three times as far off as the others: a robust fit calls these outliers."""
+    generator, count, sigma = np.random.default_rng(8), 4000, 2e-5
+    far = np.where(np.arange(count) % 8 == 0, 3.0, 1.0)
+    errors = sigma * far[:, None] * generator.standard_normal((count, 6))
+    others = np.zeros((count, 6, 6)), np.tile(np.eye(6), (count, 1, 1)), np.zeros((count, 6, 2))
+    usual = Scatter(np.full(2, sigma**2))
+    first = np.arange(count) < 80
+    held_out = (errors[first], *(each[first] for each in others))
+
+    def within(scatter: Scatter) -> float:
+        bound = scatter.tails * sigma * np.sqrt(scipy.stats.chi2.ppf(0.95, 6))
+        return float(np.mean(np.linalg.norm(errors[~first], axis=1) <= bound))
+
+    wide = usual.with_tails(*held_out)
+    assert within(usual) < 0.88
+    assert 0.93 < within(wide) < 0.98
+    # a mistake of measuring is none of the machine
+    held_out[0][3] = 1.0
+    assert usual.with_tails(*held_out).tails == pytest.approx(wide.tails, rel=0.11)
+    # nor are normal errors widened
+    ordinary = sigma * generator.standard_normal((80, 6))
+    assert usual.with_tails(ordinary, *(each[first] for each in others)).tails == 1.0

@@ -365,3 +365,39 @@ def test_random_machines_have_one_branch_in_both_engines_or_one_refusal(seed):
     np.testing.assert_array_equal(first.solved, second.solved)
     np.testing.assert_allclose(first.q[first.solved], second.q[second.solved], atol=1e-8)
     np.testing.assert_array_equal(first.branch, 0)
+
+
+def test_an_arm_with_a_gripper_passes_its_singular_poses(tmp_path: Path) -> None:
+    """One finger follows the other: no loop that could have branches."""
+    joints = 6
+    axes, links, shift = "zyyxyxz", [], "0 0 0.1"
+    for k, axis in enumerate(axes[:joints]):
+        direction = " ".join("1" if each == axis else "0" for each in "xyz")
+        links.append(_joint(f"j{k}", "revolute", f"l{k}", f"l{k + 1}", shift, direction, "-3 3"))
+        shift = "0.02 0 0.25"
+    fingers = [
+        _joint(f"finger{k}", "prismatic", f"l{joints}", f"f{k}", "0 0 0.1", f"0 {side} 0", "0 0.04")
+        for k, side in ((1, 1), (2, -1))
+    ]
+    bodies = "".join(f'<link name="{name}"/>' for name in [*(f"l{k}" for k in range(joints + 1)), "f1", "f2"])
+    drives = [f"j{k}" for k in range(joints)]
+    alone, gripping = tmp_path / "alone.urdf", tmp_path / "gripping.urdf"
+    alone.write_text(f'<robot name="alone">{bodies.split("<link name=" + chr(34) + "f1")[0]}{"".join(links)}</robot>')
+    gripping.write_text(f'<robot name="gripping">{bodies}{"".join(links + fingers)}</robot>')
+    (tmp_path / "gripping.closures.yaml").write_text("couplings: [{joint: finger2, of: {finger1: 1.0}}]\n")
+    arm, robot = (Robot.load(file, tool_frame=f"l{joints}", drives=drives) for file in (alone, gripping))
+    commands = np.random.default_rng(3).uniform(-2.5, 2.5, (20, joints))
+    assert robot.couplings
+    expected = arm.forward(commands).transforms
+    for engine in ("program", "pinocchio"):
+        poses = robot.with_engine(engine).forward(commands)  # type: ignore[arg-type]
+        np.testing.assert_allclose(poses.transforms, expected, atol=1e-12)
+    assert not poses.branch.any()
+
+
+def _joint(name: str, kind: str, parent: str, child: str, place: str, axis: str, limits: str) -> str:
+    lower, upper = limits.split()
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{place}"/>'
+        f'<axis xyz="{axis}"/><limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/></joint>'
+    )
