@@ -21,6 +21,7 @@ from pm3dof_pin.description.closures import Axis, LoopClosure
 from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.description.description import (
     IDENTITY,
+    MAX_BODIES,
     Body,
     Description,
     Drive,
@@ -136,9 +137,10 @@ class _SdfReader(ElementReader):
         worlds = children(self.root, "world")
         model = self._model((self.root, *worlds))
         self._register(model, "")
-        for name, element in self.elements.items():
-            if element.tag == "link":
-                self.bodies[name] = self._body(element, name)
+        links = {name: element for name, element in self.elements.items() if element.tag == "link"}
+        if len(links) > MAX_BODIES:
+            raise model.origin.error("<model>", f"has {len(links)} links, expected at most {MAX_BODIES}")
+        self.bodies = {name: self._body(element, name) for name, element in links.items()}
         joint_elements = {name: element for name, element in self.elements.items() if element.tag == "joint"}
         gears = {name: element for name, element in joint_elements.items() if element.get("type") == "gearbox"}
         edges = [self._edge(name, element) for name, element in joint_elements.items() if name not in gears]
@@ -491,16 +493,19 @@ class _SdfReader(ElementReader):
             return name
 
         kept: list[_Edge] = []
-        cut: list[_Edge] = []
         for edge in sorted(edges, key=lambda e: _KEPT_FIRST.get(e.kind, 2 if e.name in driven else 3)):
             ends = top(edge.parent), top(edge.child)
-            (cut if ends[0] == ends[1] else kept).append(edge)
-            component[ends[0]] = ends[1]
+            if ends[0] != ends[1]:
+                kept.append(edge)
+                component[ends[0]] = ends[1]
         children_of = {edge.child for edge in kept}
         roots = [name for name in self.bodies if name == WORLD or name not in children_of]
         root = WORLD if WORLD in self.bodies else (roots or list(self.bodies))[0]
+        first_links: dict[str, str] = {}
+        for body in self.bodies:
+            first_links.setdefault(body.partition("::")[0], body)
         for name in self.held:
-            link = next((body for body in self.bodies if body.startswith(f"{name}::")), WORLD)
+            link = first_links.get(name, WORLD)
             if top(link) != top(WORLD):
                 held = self._placement(link)
                 element = self.elements[name]
@@ -508,7 +513,8 @@ class _SdfReader(ElementReader):
                 kept.append(edges[-1])
                 component[top(link)] = top(WORLD)
         reached, tree = {root}, []
-        pending = [edge for edge in edges if edge in kept]
+        are_kept = {edge.name for edge in kept}
+        pending = [edge for edge in edges if edge.name in are_kept]
         while pending:
             found = next((e for e in pending if (e.parent in reached) != (e.child in reached)), None)
             if found is None:
@@ -519,7 +525,7 @@ class _SdfReader(ElementReader):
             reached |= {found.parent, found.child}
         if lost := [name for name in self.bodies if name not in reached]:
             raise self.root.origin.error("<model>", f"no joint connects '{lost[0]}' to '{root}': expected one tree")
-        return tree, [edge for edge in edges if edge in cut]
+        return tree, [edge for edge in edges if edge.name not in are_kept]
 
     def _closures(self, cut: list[_Edge], tree: list[tuple[_Edge, bool]]) -> tuple[list[Frame], list[LoopClosure]]:
         frames, closures = [], []
