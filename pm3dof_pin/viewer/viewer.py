@@ -557,6 +557,25 @@ class Viewer(ShownScene):
         lines = [", ".join(shown), "x red, y green, z blue"]
         self._show(Entry(key="frames", title="Frames", lines=lines, nodes=paths, of_pose=False))
 
+    def display_frames(self, visibility: bool, frame_ids: Iterable[int] | None = None) -> None:
+        """Draw :meth:`frames` by their numbers in the Pinocchio model, by default the same ones, or hide them.
+
+        Raises:
+            InvalidValueError: the model has no frame of such a number.
+        """
+        frames, ids = self.mechanism.model.frames, None if frame_ids is None else [int(number) for number in frame_ids]
+        for number in ids or ():
+            if not 0 <= number < len(frames):
+                raise InvalidValueError("frame_ids", number, f"a number from 0 to {len(frames) - 1}")
+        if drawn := self._entries.get("frames"):
+            self._remove_entry(drawn)
+            self._update()
+        if visibility:
+            self.frames(None if ids is None else [frames[number].name for number in ids])
+
+    displayFrames = display_frames  # noqa: N815
+    """As Pinocchio's MeshcatVisualizer calls it."""
+
     def labels(self) -> None:
         """Label points with their names; for the chapter's machine also the lengths and angles of Fig. 8.1b."""
         height, paths = 0.09 * self._radius, []

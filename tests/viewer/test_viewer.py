@@ -248,3 +248,16 @@ def test_what_is_missing_in_the_page_is_said_there(monkeypatch: pytest.MonkeyPat
         "Crank has no springs (--drive-stiffness) in its description: stiffness ellipsoids are not drawn",
         "no sliders: it is too large",
     ]
+
+
+def test_frames_by_their_numbers_as_in_pinocchio(mechanism: Robot) -> None:
+    viewer = Viewer(mechanism, sliders=False)
+    tool = mechanism.tool_frame_id
+    viewer.displayFrames(True, [tool])
+    assert legend(viewer)["frames"]["lines"][0] == mechanism.tool_frame
+    viewer.displayFrames(True)
+    assert len(legend(viewer)["frames"]["nodes"]) > 1
+    viewer.displayFrames(False)
+    assert "frames" not in legend(viewer)
+    with pytest.raises(InvalidValueError, match="9999"):
+        viewer.displayFrames(True, [9999])
