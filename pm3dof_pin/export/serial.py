@@ -67,7 +67,7 @@ def serial_tree(robot: Robot, part: Robot, rigid: Sequence[str] = ()) -> Descrip
         springs=(),
         configurations={
             name: {joint: values for joint, values in entries.items() if joint in kept}
-            for name, entries in (robot.description.configurations | _home_of_its_own(robot)).items()
+            for name, entries in {**robot.description.configurations, **_home_of_its_own(robot)}.items()
         },
         files=None,
     )
