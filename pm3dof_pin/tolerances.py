@@ -35,8 +35,11 @@ IMPRECISION_MARGIN = 3.0
 RANK_GAP = 1e3
 """Ratio by which singular values fall where a rank is decided: rounding of files and of lengths leaves 1e4 and more."""
 
-RANK_CEILING = 1e-5
-"""Singular values above this, relative to the greatest, count: axes given by six digits are not parallel by 1e-6."""
+RANK_CEILING = 1e-6
+"""Singular values above this, relative to the greatest, count: so near to singular poses no machine is precise."""
+
+IMPRECISE_AXES = 1e-5
+"""The same for robots whose closures are so nearly redundant at home: axes given by six digits are parallel to 1e-6."""
 
 RANK_PER_ERROR = 30.0
 """Relative singular values left of redundant closures by imprecise frames, by their relative errors: lever arms."""

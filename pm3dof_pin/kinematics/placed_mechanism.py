@@ -14,11 +14,12 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
+from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
-from pm3dof_pin.tolerances import IMPRECISION_MARGIN, MAX_IMPRECISION
+from pm3dof_pin.tolerances import IMPRECISE_AXES, IMPRECISION_MARGIN, MAX_IMPRECISION
 from pm3dof_pin.typing import Array, Vector
 
 _HOME = "home"
@@ -59,6 +60,23 @@ class PlacedMechanism(Mechanism):
         error = np.abs(held.configuration.closure_error / self.closure_scale).max(initial=0.0)
         imprecise = error <= MAX_IMPRECISION
         return IMPRECISION_MARGIN * held.residual if imprecise and not held.converged else usual
+
+    @cached_property
+    def rank_tolerance(self) -> float:
+        """Relative singular value up to which a gap may lie; for variants that of their prototype.
+
+        That of any mechanism; or more, if closures are redundant at home but for axes of six digits: what is so there
+        is so everywhere, while elsewhere values as small may tell of a singular pose nearby.
+        """
+        usual = super().rank_tolerance
+        if self.prototype is not self:
+            return self.prototype.rank_tolerance
+        if not self.has_loops or usual >= IMPRECISE_AXES or self.home.closure_residual > self.closure_tolerance:
+            return usual
+        rows = self.home.constraint_jacobian * self.velocity_scale / self.closure_scale[:, None]
+        values: Vector = np.asarray(np.linalg.svd(rows, compute_uv=False), dtype=np.float64)
+        strict, loose = (RankDecision.by_gap(values, float(values[0]), ceiling) for ceiling in (usual, IMPRECISE_AXES))
+        return IMPRECISE_AXES if loose.rank < strict.rank else usual
 
     @cached_property
     def home(self) -> Configuration:

@@ -41,6 +41,7 @@ from pm3dof_pin.kinematics.units import unit_slip
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.robot_description import read_source
 from pm3dof_pin.mechanism.tool_components import tool_components
+from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Array, Branch, Engine, Matrix, OnFailure, Vector
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ _logger = logging.getLogger(__name__)
 
 _MAX_MAGNITUDE = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
 _MANY = 32  # poses that justify a program
+_CLOSE_BY = 1e-2  # steps from home that programs of imprecise loops must find [characteristic lengths, rad]
 
 
 class LoadOptions(TypedDict, total=False):
@@ -529,11 +531,26 @@ class Robot(PlacedMechanism):
             return "it has no movable joints"
         if coordinates not in self._solvers:
             try:
-                self._solvers[coordinates] = Continuation(self, coordinates)
+                solver = Continuation(self, coordinates)
+                self._require_close_by(coordinates, solver)
+                self._solvers[coordinates] = solver
             except ProgramError as error:
                 _logger.info("%s: solved without programs: %s", self.name, error)
                 self._solvers[coordinates] = str(error)
         return self._solvers[coordinates]
+
+    def _require_close_by(self, coordinates: tuple[Coordinate, ...], solver: Continuation) -> None:
+        """Raise ProgramError if programs of loops that do not close fully lose them near home."""
+        if self.home.closure_residual <= CLOSED * max(1.0, self.characteristic_length):
+            return
+        sizes = [self.characteristic_length if coordinate.unit == "m" else 1.0 for coordinate in coordinates]
+        steps = _CLOSE_BY * np.diag(sizes)
+        found = find_poses(self, coordinates, solver.read(self.home.q[None]) + np.vstack([steps, -steps]), None, solver)
+        if np.isnan(found.q).any():
+            residual = self.home.closure_residual
+            raise ProgramError(
+                f"{self.name}: its closures contradict each other by {residual:.1e}, too much for programs"
+            )
 
     def _finder(self, coordinates: tuple[Coordinate, ...], engine: Engine) -> Solver:
         """Return what finds poses at these coordinates."""

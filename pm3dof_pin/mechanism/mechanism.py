@@ -289,7 +289,7 @@ class Mechanism:
             return self.declared_closure_tolerance
         return CLOSED * max(1.0, self.characteristic_length)
 
-    @property
+    @cached_property
     def rank_tolerance(self) -> float:
         """Relative singular value up to which a gap may lie: what the precision of the closures leaves undecided."""
         return max(RANK_CEILING, RANK_PER_ERROR * self.closure_tolerance / self.characteristic_length)

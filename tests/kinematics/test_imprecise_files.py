@@ -12,7 +12,7 @@ from pm3dof_pin.exceptions import ConvergenceError
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.mobility import instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.tolerances import RANK_CEILING
+from pm3dof_pin.tolerances import IMPRECISE_AXES, RANK_CEILING
 
 MACHINES = Path(__file__).parents[1] / "machines"
 ROBOTS = ("pm3dof", "hexapod", "three_rps", "linear_delta", "delta", "five_bar", "four_bar", "three_rpr", "agile_eye")
@@ -72,10 +72,21 @@ def test_a_rank_is_decided_where_singular_values_fall():
     assert (decision.rank, decision.is_borderline) == (8, False)
     assert decision.gap == pytest.approx(8e-3 / 2.3e-7)
     scaled = np.array([1.7, 1.7, 1.0, 1.0, 0.37, 0.36, 0.17, 0.15, 4.5e-6, 1.9e-6, 1.5e-6, 3e-16])  # by its length
-    assert RankDecision.by_gap(scaled, 1.75, RANK_CEILING).rank == 8
+    assert RankDecision.by_gap(scaled, 1.75, IMPRECISE_AXES).rank == 8
     assert RankDecision.by_gap(np.array([1.0, 1e-3, 3e-7, 1e-9]), 1.0, RANK_CEILING).rank == 2
     gradual = RankDecision.by_gap(np.array([1.0, 1e-2, 1e-4, 2e-6, 5e-7, 1e-8]), 1.0, RANK_CEILING)
-    assert (gradual.rank, gradual.is_borderline) == (3, True)
+    assert (gradual.rank, gradual.is_borderline) == (4, True)
+
+
+def test_axes_that_are_nearly_parallel_leave_closures_redundant(tmp_path):
+    """A planar loop held by two points: all but two of their rows repeat each other, if the axes are parallel."""
+    aligned = TWICE_PINNED.replace("1e-6 1 .05", "0 1 .05").replace("-1e-6 1 -.05", "0 1 -.05")
+    path = tmp_path / "tilted.xml"
+    for tilt, tolerance in ((0.0, RANK_CEILING), (1e-4, IMPRECISE_AXES)):  # times a lever of 0.05 m: 1.7e-6
+        path.write_text(aligned.replace('"pin" axis="0 0 1"', f'"pin" axis="{tilt} 0 1"'), encoding="utf-8")
+        robot = Robot.load(path)
+        assert robot.rank_tolerance == tolerance
+        assert instantaneous_mobility(robot.home).count == 1
 
 
 def test_a_declared_tolerance_is_used(tmp_path):
