@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.kinematics.poses import REACH
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Vector
 
 # by key of the summary: the column, and whether its greatest value is the worst
@@ -103,10 +104,12 @@ class PathSummary:
         worst: dict[str, tuple[float, int]], key: str, values: Vector, lines: NDArray[np.int64], *, greatest: bool
     ) -> None:
         signed = np.where(np.isfinite(values), values if greatest else -values, -np.inf)
-        row = int(signed.argmax())
-        if np.isfinite(signed[row]) and (
-            key not in worst or signed[row] > (worst[key][0] if greatest else -worst[key][0])
-        ):
+        most = float(signed.max())
+        if not np.isfinite(most):
+            return
+        row = int((signed >= most - SAME * abs(most)).argmax())  # of equals, as where two moves meet, the first
+        before = -np.inf if key not in worst else worst[key][0] if greatest else -worst[key][0]
+        if most > before + SAME * abs(most):
             worst[key] = (float(values[row]), int(lines[row]))
 
     def as_data(self) -> dict[str, Any]:
