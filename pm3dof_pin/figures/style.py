@@ -171,9 +171,9 @@ def _paint(figure: Figure, path: Path, kind: str, metadata: dict[str, str | None
     if kind != "png":
         figure.savefig(path, format=kind, dpi=DPI, metadata=metadata, **ground)
         return
-    figure.savefig(drawn := io.BytesIO(), format="raw", dpi=DPI, **ground)
-    width, height = (int(side * DPI) for side in figure.get_size_inches())
-    pixels = np.frombuffer(drawn.getbuffer(), np.uint8).reshape(height, width, 4)
+    canvas = FigureCanvasAgg(figure)
+    canvas.print_figure(io.BytesIO(), format="raw", dpi=DPI, **ground)
+    pixels = np.asarray(canvas.renderer.buffer_rgba())  # of a size rounded there
     path.write_bytes(png(pixels, DPI, {name: text for name, text in metadata.items() if text}))
 
 

@@ -15,6 +15,7 @@ from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.instruments.table import INSTRUMENTS, placed_instrument
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
+from pm3dof_pin.measuring.measurements import joint_coordinates
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.measuring.observation import planned_measurements
 
@@ -30,13 +31,16 @@ def errors() -> GeometricErrors:
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("tracker", "level")])
 def test_what_must_touch_touches(name: str, errors: GeometricErrors, tmp_path: Path) -> None:
     """Judged from the tool's poses alone; and the planned rows are those of a file."""
-    point = (0.01, -0.02, 0.03)
-    found = plan_measurements(errors, 10, instrument=name, point=point, candidates=120, machines=2)
+    point = None if name == "lock" else (0.01, -0.02, 0.03)
+    joints = ("universal1_first_joint",) if name == "lock" else ()
+    found = plan_measurements(errors, 10, instrument=name, point=point, joints=joints, candidates=120, machines=2)
     poses, own = found.poses, found.problem.instrument
-    tips = poses.positions + poses.rotations @ np.array(point)
+    tips = poses.positions + poses.rotations @ np.array(point or np.zeros(3))
     assert poses.within_limits.all()
     if name == "ballbar":
         assert np.ptp(np.linalg.norm(tips - own.placed[0].origin, axis=1)) < 1e-7
+    if name == "lock":
+        assert np.ptp(joint_coordinates(errors.robot, poses.q, joints)) < 1e-7
     extents = np.linalg.svd(tips - tips.mean(axis=0), compute_uv=False)
     flat = {"probe": 1, "line": 2, "socket": 3}.get(name, 0)
     assert (extents[3 - flat :] < 1e-7).all()

@@ -91,7 +91,7 @@ def test_no_text_leaves_a_picture(job: tuple[str, ...], tmp_path: Path, monkeypa
 
 def test_a_long_title_is_written_smaller(tmp_path: Path) -> None:
     with style.house_style():
-        figure = style.new_figure(3.0, 2.0)
+        figure = style.new_figure(3.3, 2.2)
         figure.suptitle("Spring with the largest share of the deflection, and more words than fit across a column")
         style.save_figure(figure, tmp_path / "wide.png")
         assert problems_of(figure) == []
