@@ -45,7 +45,7 @@ hasWebGL && (() => {
       const moved = tools.map((tool, k) => tool.map((entry, index) => entry + deflected[k][index]));
       lines.push(tube(moved, moved.map(() => DEFLECTED), 0.5 * THICKNESS, size));
     }
-    holder.add(...lines.filter(Boolean));
+    lines.filter(Boolean).forEach((line) => holder.add(line));
   }
 
   // The first ellipsoid of the legend at some poses.
