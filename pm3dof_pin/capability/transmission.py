@@ -155,9 +155,8 @@ class Transmission:
     joints: tuple[str, ...]  #: names of the m joints
     drives: tuple[str, ...]  #: names of the u actuated joints
     poses: Poses  #: the poses
-    asked: (
-        Array  #: values of the joints that were asked for, also where these are out of reach, shape=(..., m) [rad, m]
-    )
+    #: values of the joints that were asked for, also where these are out of reach, shape=(..., m) [rad, m]
+    asked: Array
     jacobian: Array  #: G, rates of the drives by those of the joints, shape=(..., u, m)
     #: second derivatives H of the drives' positions by those of the joints, shape=(..., u, m, m): the drives accelerate
     #: by G a + v^T H v

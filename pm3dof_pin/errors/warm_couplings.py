@@ -19,7 +19,7 @@ class Ruler:
     fixed: float = 0.0  #: coordinate that stays [m]
 
     @property
-    def inverse(self) -> Polynomial:
+    def cold_coordinate(self) -> Polynomial:
         """The cold coordinate as a polynomial of the warm one."""
         return Polynomial([self.strain * self.fixed / (1.0 + self.strain), 1.0 / (1.0 + self.strain)])
 
@@ -31,7 +31,7 @@ def expanded_coupling(coupling: Coupling, rulers: Mapping[str, Ruler]) -> Coupli
     coefficients = []
     for joint, powers in zip(coupling.joints, coupling.coefficients, strict=True):
         warm = np.zeros(len(powers) + 1)
-        of_warm = np.asarray(Polynomial([0.0, *powers])(rulers[joint].inverse).coef, dtype=float)
+        of_warm = np.asarray(Polynomial([0.0, *powers])(rulers[joint].cold_coordinate).coef, dtype=float)
         warm[: len(of_warm)] = (1.0 + follower.strain) * of_warm  # trailing zeros are cut off
         offset += float(warm[0])
         coefficients.append(tuple(warm[1:].tolist()))
