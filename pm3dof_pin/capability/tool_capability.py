@@ -126,7 +126,8 @@ class ToolCapability:
             rows: 0:3 of the twist, whatever the rotation [m/s], or 3:6, whatever the translation [rad/s].
 
         Raises:
-            InvalidValueError: the speed of a drive is not described, or redundant drives have too many freedoms.
+            InvalidValueError: the speed of a drive is not described, or redundant drives have too many degrees of
+                freedom.
         """
         _require_known("speed", self.drives, self.speed)
         rates = self.tool_rates[rows]

@@ -69,6 +69,13 @@ class RankDecision:
         return float(self.singular_values[expected_rank - 1]) if 0 < expected_rank <= len(self.singular_values) else 0.0
 
 
+def scaled_closures(configuration: Configuration) -> Matrix:
+    """Return the Jacobian of the closures in scaled numbers, shape=(constraints, nv)."""
+    mechanism = configuration.mechanism
+    scaled: Matrix = configuration.constraint_jacobian * mechanism.velocity_scale / mechanism.closure_scale[:, None]
+    return scaled
+
+
 class DegreesOfFreedom:
     """The scaled degrees of freedom of a configuration, and their effect on the actuated joints and the tool.
 
@@ -83,9 +90,8 @@ class DegreesOfFreedom:
         self.scale = mechanism.velocity_scale
         self.twist_scale = mechanism.twist_scale
         self._configuration = configuration
-        closures = configuration.constraint_jacobian * self.scale / mechanism.closure_scale[:, None]
         self._ceiling = mechanism.rank_tolerance
-        self.closures = Restriction(closures, np.eye(mechanism.model.nv), self._ceiling)
+        self.closures = Restriction(scaled_closures(configuration), np.eye(mechanism.model.nv), self._ceiling)
         self.constraint_rank = self.closures.rank
         self.basis = self.closures.motions
         self.count = self.basis.shape[1]

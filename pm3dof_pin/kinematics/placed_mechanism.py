@@ -14,7 +14,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
-from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
+from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision, scaled_closures
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -73,8 +73,7 @@ class PlacedMechanism(Mechanism):
             return self.prototype.rank_tolerance
         if not self.has_loops or usual >= IMPRECISE_AXES or self.home.closure_residual > self.closure_tolerance:
             return usual
-        rows = self.home.constraint_jacobian * self.velocity_scale / self.closure_scale[:, None]
-        values: Vector = np.asarray(np.linalg.svd(rows, compute_uv=False), dtype=np.float64)
+        values: Vector = np.asarray(np.linalg.svd(scaled_closures(self.home), compute_uv=False), dtype=np.float64)
         strict, loose = (RankDecision.by_gap(values, float(values[0]), ceiling) for ceiling in (usual, IMPRECISE_AXES))
         return IMPRECISE_AXES if loose.rank < strict.rank else usual
 

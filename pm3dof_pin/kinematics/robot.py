@@ -41,7 +41,6 @@ from pm3dof_pin.kinematics.units import unit_slip
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.robot_description import read_source
 from pm3dof_pin.mechanism.tool_components import tool_components
-from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Array, Branch, Engine, Matrix, OnFailure, Vector
 
 if TYPE_CHECKING:
@@ -541,7 +540,7 @@ class Robot(PlacedMechanism):
 
     def _require_close_by(self, coordinates: tuple[Coordinate, ...], solver: Continuation) -> None:
         """Raise ProgramError if programs of loops that do not close fully lose them near home."""
-        if self.home.closure_residual <= CLOSED * max(1.0, self.characteristic_length):
+        if self.home.closure_residual <= self.rounding_of_closures:
             return
         sizes = [self.characteristic_length if coordinate.unit == "m" else 1.0 for coordinate in coordinates]
         steps = _CLOSE_BY * np.diag(sizes)

@@ -59,7 +59,7 @@ def constant(rows: Array) -> Callable[[Array], Array]:
     return lambda points: np.tile(rows, (len(points), 1, 1))
 
 
-def principal_axes(points: Array) -> Array:
+def axes_of_extents(points: Array) -> Array:
     """Return axes of a cloud of points as rows, the last one being that of its least extent, shape=(3, 3)."""
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)[2]
     axes[2] = np.cross(axes[0], axes[1])

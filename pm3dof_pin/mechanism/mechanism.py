@@ -287,6 +287,11 @@ class Mechanism:
         """Largest closure error of closed loops [m, rad]: as declared, or :data:`CLOSED`, more for a large machine."""
         if self.declared_closure_tolerance is not None:
             return self.declared_closure_tolerance
+        return self.rounding_of_closures
+
+    @property
+    def rounding_of_closures(self) -> float:
+        """Closure error of loops that close but for rounding [m, rad]: :data:`CLOSED`, more for a large machine."""
         return CLOSED * max(1.0, self.characteristic_length)
 
     @cached_property

@@ -301,13 +301,13 @@ def _stick_figure(mechanism: Mechanism) -> tuple[DrawnBody, ...]:
 
 def _floats(model: pin.Model, joint: int) -> bool:
     """Return whether a joint, or several at one place that follow it, leave their body six degrees of freedom."""
-    freedoms = int(model.joints[joint].nv)
-    while freedoms < 6 and len(model.children[joint]) == 1:
+    count = int(model.joints[joint].nv)
+    while count < 6 and len(model.children[joint]) == 1:
         joint = model.children[joint][0]
         if np.any(np.abs(model.jointPlacements[joint].translation) > 0.0):
             return False
-        freedoms += int(model.joints[joint].nv)
-    return freedoms == 6
+        count += int(model.joints[joint].nv)
+    return count == 6
 
 
 def _outline(points: list[tuple[str, Array]]) -> tuple[Array, list[tuple[str, Array]]]:

@@ -53,7 +53,7 @@ class DrawnPolytope:
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
 
-def unit_of(of: PolytopeQuantity, kind: Motion) -> str:
+def polytope_unit(of: PolytopeQuantity, kind: Motion) -> str:
     """Return the unit of a polytope's numbers."""
     return UNITS["force" if of == "force" else "velocity", kind]
 
@@ -65,7 +65,7 @@ def tool_polytope(at: ToolCapability, of: PolytopeQuantity, kind: Motion) -> Dra
         SingularConfigurationError: the tool's point does not move in this way.
         InvalidValueError: a limit is not described, or the drives cannot hold the weight.
     """
-    unit = unit_of(of, kind)
+    unit = polytope_unit(of, kind)
     rows = slice(0, 3) if kind == "translation" else slice(3, 6)
     left, values, _ = np.linalg.svd(at.tool_rates[rows])
     if not values[0] > _FLAT * np.linalg.norm(at.tool_rates):

@@ -164,7 +164,7 @@ class Sliders:
             {"command": command, "scale": robot.commands[command].scale, "actuator": actuator, "limit": float(limit)}
             for actuator, (command, limit) in enumerate(zip(order, limits, strict=True))
         ]
-        sizes = {"scale": scale, "length": length, "unit": polytopes.unit_of(of, kind)}
+        sizes = {"scale": scale, "length": length, "unit": polytopes.polytope_unit(of, kind)}
         return {"kind": "polytope", "of": of, "motion": kind, "drives": drives, **sizes}
 
     def live_shares(

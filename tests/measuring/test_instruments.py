@@ -16,7 +16,7 @@ from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError, UnreachablePoseError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.measuring.datum import DatumKind, principal_axes
+from pm3dof_pin.measuring.datum import DatumKind, axes_of_extents
 from pm3dof_pin.measuring.instrument import Instrument, circle_of_targets
 from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
 from pm3dof_pin.measuring.instruments.table import INSTRUMENTS, placed_instrument
@@ -44,7 +44,7 @@ BAR = DatumKind(
     ],
     start=lambda points, values: [
         (np.roll(axes, k, axis=0), points.mean(axis=0) + side * values.mean() * np.roll(axes, k, axis=0)[0])
-        for axes in [principal_axes(points)]
+        for axes in [axes_of_extents(points)]
         for k in range(3)
         for side in (-1.0, 1.0)
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pm3dof_pin.measuring.datum import DatumKind, constant, principal_axes
+from pm3dof_pin.measuring.datum import DatumKind, axes_of_extents, constant
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
 from pm3dof_pin.typing import Array
@@ -13,7 +13,7 @@ _ALONG_X = np.eye(3)[[1, 2, 0]]
 
 
 def _start(points: Array, values: Array) -> list[tuple[Array, Array]]:
-    return [(principal_axes(points)[[1, 2, 0]], points.mean(axis=0))]
+    return [(axes_of_extents(points)[[1, 2, 0]], points.mean(axis=0))]
 
 
 LINE_DATUM = DatumKind(

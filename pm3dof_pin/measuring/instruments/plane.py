@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from pm3dof_pin.measuring.datum import DatumKind, constant, principal_axes
+from pm3dof_pin.measuring.datum import DatumKind, axes_of_extents, constant
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
 from pm3dof_pin.typing import Array
 
 
 def _start(points: Array, values: Array) -> list[tuple[Array, Array]]:
-    axes, centre = principal_axes(points), points.mean(axis=0)
+    axes, centre = axes_of_extents(points), points.mean(axis=0)
     upward = axes if axes[2] @ np.ones(3) >= 0.0 else np.array([axes[0], -axes[1], -axes[2]])
     starts = [upward, np.eye(3)] if not np.ptp(values) else [upward, upward * [[1.0], [-1.0], [-1.0]], np.eye(3)]
     return [(each, centre - values.mean() * each[2]) for each in starts]
