@@ -1,13 +1,15 @@
-"""The least dynamic stiffness of the tool at many poses, its frequency, and the most negative real part.
+"""Receptances of the tool at many poses: at given frequencies, or their extremes over all.
 
-Frequencies are chosen by pose: at rest, and around the natural modes that move the tool most, in multiples of their
-damping, where the extremes of lightly damped modes lie; a parabola through the best three refines them. A depth of cut
-that keeps the force in one direction is stable at every speed below -1 / (2 K_s min Re G), K_s being the cutting force
-per depth and chip thickness (J. Tlusty and M. Polacek, 1963).
+For the extremes, frequencies are chosen by pose: at rest, and around the natural modes that move the tool most, in
+multiples of their damping, where the extremes of lightly damped modes lie; a parabola through the best three refines
+them. A depth of cut that keeps the force in one direction is stable at every speed below -1 / (2 K_s min Re G), K_s
+being the cutting force per depth and chip thickness (J. Tlusty and M. Polacek, 1963).
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Unpack
@@ -15,10 +17,10 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import require_kind
+from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.dynamics.damping import Damping
-from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
+from pm3dof_pin.dynamics.receptance import angular_frequencies, vibrating_system
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
@@ -72,6 +74,81 @@ def dynamic_stiffness(
         FreeDirectionError: the tool can move with all springs at rest.
         PM3DofError: as :func:`~pm3dof_pin.dynamics.receptance.vibrating_system`.
     """
+    values = _of_poses(
+        model, poses, "dynamic stiffness", (3, len(TOOL_COMPONENTS)), _extremes, damping, payloads, options
+    )
+    return DynamicStiffness(values[..., 0, :], values[..., 1, :], values[..., 2, :])
+
+
+def tool_receptances(
+    model: ElasticModel,
+    poses: Poses | ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    damping: Damping | None = None,
+    payloads: Payloads | None = None,
+    **options: Unpack[BatchOptions],
+) -> Array:
+    """Compute the receptance of the tool at many poses and frequencies.
+
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.dynamics.dynamic_stiffness import tool_receptances
+        >>> model = pm.ElasticModel.load("pm3dof")
+        >>> poses = model.rigid.solve(model.rigid.grid(z_e=(0.45, 0.55, 3)))
+        >>> G = tool_receptances(model, poses, [0.0, 50.0])
+        >>> print(G.shape, (1e-6 / np.abs(G[:, 1, 0, 0])).round(3), "N/um in x at 50 Hz")
+        (3, 2, 6, 6) [7.299 1.45  0.477] N/um in x at 50 Hz
+
+    Args:
+        model: the mechanism with its springs.
+        poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
+        frequencies: frequencies of the force, shape=(f,) [Hz]. At rest, springs lose nothing.
+        damping: of the springs; by default those of the description, or `LOSS_FACTOR`.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+        options: see :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
+
+    Returns:
+        Twist of the tool per wrench on it, linear before angular, in axes of the base, shape=(..., f, 6, 6), complex
+        [m/N, 1/N, rad/(N m)].
+
+    Raises:
+        FreeDirectionError: the tool can move with all springs at rest.
+        PM3DofError: as :func:`~pm3dof_pin.dynamics.receptance.vibrating_system`.
+    """
+    omegas = angular_frequencies(frequencies)
+    size = len(TOOL_COMPONENTS)
+
+    def receptances(inverse_squares: Array, twists: Array, structural: Array, viscous: Array) -> Array:
+        at = np.broadcast_to(omegas, (len(twists), len(omegas)))
+        poles, seen, excited, variable = _partial_fractions(at, inverse_squares, twists, structural, viscous)
+        residues = seen.transpose(0, 2, 1)[..., None] * excited[:, :, None, :]
+        found = 1.0 / (1.0 - variable[:, :, None] * poles[:, None, :]) @ residues.reshape(*poles.shape, size**2)
+        found[:, omegas == 0.0] = (twists @ twists.transpose(0, 2, 1)).reshape(-1, 1, size**2)
+        return np.ascontiguousarray(found).view(float)
+
+    shape = (len(omegas), size, size, 2)  # real and imaginary parts
+    values = _of_poses(model, poses, "receptance", shape, receptances, damping, payloads, options)
+    return frozen(np.ascontiguousarray(values).view(complex)[..., 0])
+
+
+_OfModes = Callable[[Array, Array, Array, Array], Array]
+"""A function of n tools in natural modes of strain energy 1/2: 1 / omega_r^2, shape=(n, e), twists, shape=(n, 6, e),
+loss factors and viscous damping in the modes, shape=(n, e, e)."""
+
+
+def _of_poses(
+    model: ElasticModel,
+    poses: Poses | ArrayLike,
+    name: str,
+    shape: tuple[int, ...],
+    of_modes: _OfModes,
+    damping: Damping | None,
+    payloads: Payloads | None,
+    options: BatchOptions,
+) -> Array:
+    """Return a function of the tool's modes at many poses, shape=(..., *shape); errors as its callers'."""
     require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
     model.mechanism.require_possible_inertias()
     damping = damping or Damping()
@@ -81,31 +158,25 @@ def dynamic_stiffness(
         from pm3dof_pin.dynamics.traced import vibrating_tools
 
         tools, sound = vibrating_tools(model, tree, q, threads)
-        return _of_batch(model, damping, *(part[sound] for part in tools), sound=sound, threads=threads), sound
+        values = np.full((len(q), math.prod(shape)), np.nan)
+        modes = (part[sound] for part in tools)
+        if sound.any():
+            values[sound] = _of_batch(model, damping, *modes, of_modes=of_modes, threads=threads).reshape(
+                sound.sum(), -1
+            )
+        return values, sound
 
     def reference(q: Vector) -> Array:
-        return _extremes_of(vibrating_system(model, q, damping=damping, payloads=payloads))
+        system = vibrating_system(model, q, damping=damping, payloads=payloads)
+        tool = system.rows([f"tool:{component}" for component in TOOL_COMPONENTS])
+        system.receptance([0.0], tool, tool)  # raises if the tool is free
+        parts = (system.inverse_squares, tool @ system.shapes, system.structural, system.viscous)
+        value: Array = of_modes(*(part[None] for part in parts))[0]
+        return value
 
-    values = evaluate_at(
-        model.rigid,
-        poses,
-        "dynamic stiffness",
-        (3, len(TOOL_COMPONENTS)),
-        program=program,
-        reference=reference,
-        program_from=PROGRAM_FROM,
-        **options,
+    return evaluate_at(
+        model.rigid, poses, name, shape, program=program, reference=reference, program_from=PROGRAM_FROM, **options
     ).values
-    return DynamicStiffness(values[..., 0, :], values[..., 1, :], values[..., 2, :])
-
-
-def _extremes_of(system: VibratingSystem) -> Array:
-    """Return the extremes of one system, shape=(3, 6)."""
-    tool = system.rows([f"tool:{component}" for component in TOOL_COMPONENTS])
-    system.receptance([0.0], tool, tool)  # raises if the tool is free
-    parts = (system.inverse_squares, tool @ system.shapes, system.structural, system.viscous)
-    extremes: Array = _extremes(*(part[None] for part in parts))[0]
-    return extremes
 
 
 def _of_batch(
@@ -115,10 +186,10 @@ def _of_batch(
     twists: Array,
     whitened: Array,
     *,
-    sound: Mask,
+    of_modes: _OfModes,
     threads: int | None,
-) -> Matrix:
-    """Return the extremes of n systems, shape=(m, 18), NaN where not sound.
+) -> Array:
+    """Return a function of the modes of n systems, shape=(n, ...).
 
     Systems are given in any basis of strain energy 1/2: masses, shape=(n, e, e), and in each motion the twist of the
     tool, shape=(n, 6, e), and the strains in units of the springs, shape=(n, s, e).
@@ -136,14 +207,10 @@ def _of_batch(
         if damping.ratio is not None:
             structural = np.zeros_like(structural)
             viscous = 2.0 * damping.ratio * np.sqrt(inverse_squares)[..., None] * np.eye(inverse_squares.shape[1])
-        return _extremes(inverse_squares, twists[rows] @ directions, structural, viscous)
+        return of_modes(inverse_squares, twists[rows] @ directions, structural, viscous)
 
-    values = np.full((len(sound), 3 * len(TOOL_COMPONENTS)), np.nan)
     with ThreadPoolExecutor(threads) as pool:  # the linear algebra of NumPy runs beside other threads
-        found = list(pool.map(chunk, range(0, len(masses), _CHUNK)))
-    if found:
-        values[sound] = np.concatenate(found).reshape(-1, values.shape[1])
-    return values
+        return np.concatenate(list(pool.map(chunk, range(0, len(masses), _CHUNK))))
 
 
 def _extremes(inverse_squares: Array, twists: Array, structural: Array, viscous: Array) -> Array:
@@ -185,10 +252,21 @@ def _frequencies(inverse_squares: Array, twists: Array, structural: Array, visco
 def _direct_receptances(
     omegas: Array, inverse_squares: Array, twists: Array, structural: Array, viscous: Array
 ) -> Array:
-    """Return G of each direction with itself, shape=(n, f, 6), complex, by partial fractions; the first is at rest.
+    """Return G of each direction with itself, shape=(n, f, 6), complex; the first frequency is at rest."""
+    poles, seen, excited, variable = _partial_fractions(omegas, inverse_squares, twists, structural, viscous)
+    fractions = 1.0 / (1.0 - variable[:, :, None] * poles[:, None, :])
+    direct: Array = fractions @ (seen * excited.transpose(0, 2, 1)).transpose(0, 2, 1)
+    direct[:, 0] = (twists**2).sum(axis=2)
+    return direct
+
+
+def _partial_fractions(
+    omegas: Array, inverse_squares: Array, twists: Array, structural: Array, viscous: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return poles, shape=(n, p), twists in their modes, (n, 6, p), their loads, (n, p, 6), and the variable, (n, f).
 
     Without dampers, D = k (1 - omega^2 A) with k = 1 + i H. With dampers, (x, omega x) satisfies a linear equation of
-    twice the size in omega. The eigenvalues of A are the poles.
+    twice the size in omega. The eigenvalues of A are the poles: G = sum of twist times load over 1 - variable * pole.
     """
     size = inverse_squares.shape[1]
     flexible = np.eye(size) + 1j * structural
@@ -203,13 +281,8 @@ def _direct_receptances(
         loads = np.concatenate([loads, np.zeros_like(loads)], axis=1)
     else:
         matrix, variable = inertia, omegas**2
-    values, vectors = np.linalg.eig(matrix)
-    seen = twists @ vectors[:, :size]
-    residues = seen * np.linalg.solve(vectors, loads).transpose(0, 2, 1)
-    fractions = 1.0 / (1.0 - variable[:, :, None] * values[:, None, :])
-    direct: Array = fractions @ residues.transpose(0, 2, 1)
-    direct[:, 0] = (twists**2).sum(axis=2)
-    return direct
+    poles, vectors = np.linalg.eig(matrix)
+    return poles, twists @ vectors[:, :size], np.linalg.solve(vectors, loads), variable
 
 
 def _peaks(omegas: Array, heights: Array) -> tuple[Array, Array]:

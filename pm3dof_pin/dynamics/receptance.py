@@ -101,7 +101,7 @@ class VibratingSystem:
             InvalidValueError: a frequency is negative.
             FreeDirectionError: a frequency is zero, and an input moves an output with all springs at rest.
         """
-        omegas = _angular(frequencies)
+        omegas = angular_frequencies(frequencies)
         left, right = outputs @ self.shapes, inputs @ self.shapes
         response = np.linalg.solve(self._dynamic_stiffness(omegas), right.T[None].astype(complex))
         free = (outputs @ self.free_motions) @ (inputs @ self.free_motions).T
@@ -117,7 +117,7 @@ class VibratingSystem:
 
     def shares(self, frequency: float, output: Vector, unit_input: Vector) -> Vector:
         """Return what each mode contributes to G at a frequency [Hz] between two rows, shape=(e,), complex."""
-        omegas = _angular([frequency])
+        omegas = angular_frequencies([frequency])
         stiffness = self._dynamic_stiffness(omegas)[0]
         return frozen((output @ self.shapes) * np.linalg.solve(stiffness, self.shapes.T @ unit_input))
 
@@ -229,7 +229,12 @@ def vibrating_system(
     )
 
 
-def _angular(frequencies: ArrayLike) -> Vector:
+def angular_frequencies(frequencies: ArrayLike) -> Vector:
+    """Return 2 pi times frequencies [Hz], shape=(f,) [rad/s].
+
+    Raises:
+        InvalidValueError: a frequency is negative.
+    """
     values = finite_array("frequencies", frequencies, (np.size(frequencies),))
     if (values < 0.0).any():
         raise InvalidValueError("frequencies", float(values.min()), "frequencies that are not negative [Hz]")

@@ -12,7 +12,7 @@ import scipy.linalg
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.dynamics.beam_masses import vibrating_mass
 from pm3dof_pin.dynamics.damping import LOSS_FACTOR, Damping
-from pm3dof_pin.dynamics.dynamic_stiffness import dynamic_stiffness
+from pm3dof_pin.dynamics.dynamic_stiffness import dynamic_stiffness, tool_receptances
 from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.dynamics.receptance import vibrating_system
 from pm3dof_pin.elastic.batch import compliance
@@ -145,6 +145,26 @@ def test_viscous_programs_agree_with_the_reference() -> None:
     found = dynamic_stiffness(model, poses, damping=damping)
     expected = dynamic_stiffness(model, poses.q[::100], damping=damping, engine="pinocchio")
     np.testing.assert_allclose(found.minimum[::100], expected.minimum, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "damping",
+    [None, Damping(ratio=0.03), Damping(bandwidths={"slider1_joint": 60.0})],
+    ids=["losses", "ratio", "servo"],
+)
+def test_receptances_of_many_poses_are_those_of_each(damping: Damping | None) -> None:
+    model = ElasticModel.load("pm3dof")
+    poses = model.rigid.solve(model.rigid.grid(theta_x=(-0.2, 0.3, 2), z_e=(0.45, 0.55, 250)))
+    frequencies = np.array([0.0, 40.0, 155.0, 264.0, 1800.0])
+    found = tool_receptances(model, poses, frequencies, damping=damping)
+    assert found.shape == (2, 250, 5, 6, 6)
+    for row in ((0, 0), (1, 120), (1, 249)):
+        system = vibrating_system(model, poses.q[row], damping=damping)
+        tool = system.rows(TOOL)
+        expected = system.receptance(frequencies, tool, tool)  # one linear system for each frequency
+        largest = np.abs(expected).max(axis=(1, 2), keepdims=True)
+        np.testing.assert_allclose(found[row] / largest, expected / largest, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(found[..., 0, :, :].real, compliance(model, poses), rtol=0.0, atol=1e-15)
 
 
 def test_modal_ratio_gives_the_peak_of_one_mode() -> None:
