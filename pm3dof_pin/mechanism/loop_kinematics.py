@@ -181,7 +181,8 @@ def _held(closure: Anchors, t: Vector, rotation: Matrix) -> tuple[Vector, Matrix
     elif len(about) == 2:
         angles, angular = _tilt(rotation[:, 2])
     else:
-        angles, angular = -rotation[0, 1] * np.ones(len(about)), np.cross([1.0, 0.0, 0.0], rotation[:, 1])[None]
+        _, y, z = rotation[:, 1]  # the rate of its x is (0, z, -y) times the angular velocity
+        angles, angular = -rotation[0, 1] * np.ones(len(about)), np.array([[0.0, -z, y]])
     rows = np.zeros((kind.size, 6))
     rows[: len(along), along] = np.eye(len(along))
     if about:
