@@ -36,7 +36,7 @@ from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
-from pm3dof_pin.kinematics.pose_search import Solution, waypoint_lattice
+from pm3dof_pin.kinematics.pose_search import Solution, waypoints
 from pm3dof_pin.kinematics.reference import assemble_at
 from pm3dof_pin.programs.closing import Task, regularity_and_mode
 from pm3dof_pin.programs.llvm import Walked
@@ -132,17 +132,9 @@ class Continuation:
     @cached_property
     def lattice(self) -> tuple[Matrix, Matrix]:
         """Values and poses of a lattice around home."""
-        grid = waypoint_lattice(self._robot, self._coordinates, self.read(self._home[None])[0])
-        q = np.array(self.march(grid).q).reshape(*grid.shape, self._nq)
-        before = -1
-        while before != (before := int(np.isfinite(q[..., 0]).sum())):  # from every side
-            for starts in _neighbours(q):
-                frontier = np.isnan(q[..., 0]) & np.isfinite(starts[..., 0])
-                found = starts[frontier]
-                self._solve_each(found, grid.values[frontier])
-                q[frontier] = found
-        solved = np.isfinite(q[..., 0])
-        return grid.values[solved], q[solved]
+        return waypoints(
+            self._robot, self._coordinates, self._home, lambda starts, targets: self._reached(starts, targets)[0]
+        )
 
     def _solve_each(self, q: Matrix, targets: Matrix, *, home_too: bool = False, keep_branch: bool = True) -> None:
         """Walk from q to the targets, in place; permitted damped steps start from there and from home."""

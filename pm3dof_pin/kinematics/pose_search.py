@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -82,7 +82,52 @@ def find_poses(
     return found if turned is found.q else found._replace(q=turned, broken_limits=None)
 
 
-def waypoint_lattice(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], home: Vector) -> Grid:
+def waypoints(
+    robot: PlacedMechanism,
+    coordinates: tuple[Coordinate, ...],
+    home: Vector,
+    walk: Callable[[Matrix, Matrix], Matrix],
+) -> tuple[Matrix, Matrix]:
+    """Return values, shape=(m, number of coordinates), and poses, shape=(m, nq), of a lattice all over the reach.
+
+    The cell around home is walked to from there, other points from neighbours, round by round. By which way a point is
+    reached depends on what is reachable only, so that engines agree where several poses have the same coordinates.
+
+    Args:
+        robot: the robot.
+        coordinates: the coordinates of the lattice.
+        home: the configuration from which poses are reached.
+        walk: returns the poses at targets by walks from starts, shape=(n, nq), NaN where there is none.
+    """
+    transform = robot.configuration(home).tool_placement.homogeneous if any(c.tool for c in coordinates) else None
+    origin = robot.read(coordinates, home, transform)
+    grid = _waypoint_lattice(robot, coordinates, origin)
+    dimensions = len(coordinates)
+    values = grid.values.reshape(*grid.shape, dimensions)
+    centre = [int(np.abs(axis - x).argmin()) for axis, x in zip(grid.axes.values(), origin, strict=True)]
+    offsets = np.moveaxis(np.indices(grid.shape), 0, -1) - centre
+    around = np.abs(offsets).max(axis=-1) <= 1
+    q = np.full((*grid.shape, len(home)), np.nan)
+    q[around] = walk(np.tile(home, (int(around.sum()), 1)), values[around])
+    new = np.isfinite(q[..., 0])
+    while new.any():
+        before = np.isfinite(q[..., 0])
+        for dimension in range(dimensions):
+            ahead = (*[slice(None)] * dimension, slice(1, None))
+            behind = (*[slice(None)] * dimension, slice(None, -1))
+            for target, source in ((ahead, behind), (behind, ahead)):
+                untried = np.zeros(grid.shape, dtype=bool)
+                untried[target] = new[source] & np.isnan(q[target][..., 0])
+                if untried.any():
+                    starts = np.full_like(q, np.nan)
+                    starts[target] = q[source]
+                    q[untried] = walk(starts[untried], values[untried])
+        new = np.isfinite(q[..., 0]) & ~before
+    found = np.isfinite(q[..., 0])
+    return values[found], q[found]
+
+
+def _waypoint_lattice(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], home: Vector) -> Grid:
     """Return a lattice of about a thousand values around home, along each coordinate as far as its joint goes."""
     size, axes = max(round(_WAYPOINTS ** (1.0 / len(coordinates))), 3), {}
     for coordinate, middle, unit in zip(coordinates, home, coordinate_scales(robot, coordinates), strict=True):

@@ -20,16 +20,15 @@ from pm3dof_pin.exceptions import ConvergenceError, PM3DofError
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.branches import Branches, branches_of, start_of
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
-from pm3dof_pin.kinematics.pose_search import Solution, waypoint_lattice
+from pm3dof_pin.kinematics.pose_search import Solution, waypoints
 from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales
 from pm3dof_pin.typing import Matrix, Vector
 
 _LEG = 0.25  # for distant poses [rad, characteristic lengths]
-_SHORTEST_LEG = 1.0 / 256.0  # relative to that
-_SHORTEST_QUICK_LEG = 1.0 / 16.0  # of walks between waypoints, relative to that
+_SHORTEST_LEG = 1.0 / 1024.0  # relative to that
 _FIRST_LEG = 1.0 / 8.0  # relative to it, as there is no prediction yet
 _JUMP = 0.5  # largest distance of a joint from its prediction [rad, characteristic lengths]
-_STEPS = 20  # per leg, if it may be repeated
+_STEPS = 8  # per leg, if it may be repeated
 _LAST_STEPS = 100
 _DEPENDENT = 1e-10  # relative singular value of dependent equations
 _SINGULAR = 1e-6  # relative singular value of a singular pose
@@ -101,28 +100,15 @@ class Reference:
     def lattice(self) -> tuple[Matrix, Matrix]:
         """Values and poses of a lattice, reached from home by way of neighbours."""
         robot, coordinates = self._robot, self._coordinates
-        home = start_of(robot)
-        origin = _read(robot, coordinates, home)
-        grid = waypoint_lattice(robot, coordinates, origin)
-        first = tuple(int(np.abs(axis - x).argmin()) for axis, x in zip(grid.axes.values(), origin, strict=True))
-        found: dict[tuple[int, ...], Vector] = {}
-        waiting = [(first, home)]  # a pose that one neighbour does not lead to may be reached from another
-        while waiting:
-            index, start = waiting.pop(0)
-            if index in found:
-                continue
-            walk = _Walk(robot, coordinates, branches_of(robot), start, None, shortest=_SHORTEST_QUICK_LEG)
-            q = walk.to(grid.values[index])
-            if np.isnan(q).any():
-                continue
-            found[index] = q
-            for axis, size in enumerate(grid.shape):
-                for step in (-1, 1):
-                    other = (*index[:axis], index[axis] + step, *index[axis + 1 :])
-                    if 0 <= other[axis] < size and other not in found:
-                        waiting.append((other, q))
-        values = np.array([grid.values[index] for index in found]).reshape(len(found), len(coordinates))
-        return values, np.array(list(found.values())).reshape(len(found), robot.model.nq)
+        branches = branches_of(robot)
+
+        def walk(starts: Matrix, targets: Matrix) -> Matrix:
+            walks = (
+                _Walk(robot, coordinates, branches, start, None).to(x) for start, x in zip(starts, targets, strict=True)
+            )
+            return np.array(list(walks))
+
+        return waypoints(robot, coordinates, start_of(robot), walk)
 
 
 def _in_words(coordinate: Coordinate, value: float) -> str:
@@ -146,11 +132,9 @@ class _Walk:
         branches: Branches | None,
         start: Vector,
         home: Vector | None,
-        *,
-        shortest: float = _SHORTEST_LEG,
     ) -> None:
         self._robot, self._coordinates, self._branches = robot, coordinates, branches
-        self._start, self._home, self._shortest = start, home, shortest
+        self._start, self._home = start, home
         self.last: Vector = start  #: the last configuration reached
 
     def to(self, target: Vector) -> Vector:
@@ -173,7 +157,7 @@ class _Walk:
         rate, narrowing = np.zeros(robot.model.nv), 0.0  # derivatives of q and the regularity along the path
         while done < 1.0:
             reached = min(done + step, 1.0)
-            is_last_try = step <= self._shortest * first
+            is_last_try = step <= _SHORTEST_LEG * first
             values = target if reached == 1.0 else origin + reached * way
             steps = _LAST_STEPS if is_last_try else _STEPS
             guess = pin.integrate(robot.model, q, rate * (reached - done))

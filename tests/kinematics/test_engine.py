@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ import pytest
 import pm3dof_pin as pm
 from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.kinematics import reference
-from pm3dof_pin.kinematics.pose_search import waypoint_lattice
+from pm3dof_pin.kinematics.pose_search import waypoints
 from pm3dof_pin.maps.grid_map import quantity_map
 from pm3dof_pin.maps.quantity import MappedRobot
 from pm3dof_pin.programs.llvm import Compiled
+
+FIVE_BAR = Path(__file__).parents[1] / "machines" / "five_bar"
 
 
 @pytest.fixture
@@ -50,20 +53,36 @@ def test_the_usual_engine_is_the_program() -> None:
     assert robot.solve(np.tile(robot.home_coordinates, (40, 1)), engine="pinocchio").solved.all()
 
 
-def test_the_reference_tries_a_waypoint_from_every_neighbour(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A corner next to home is reached along one axis only, from the second of the two neighbours that are nearer."""
+def test_waypoints_are_tried_from_every_neighbour() -> None:
+    """A lattice point two cells from home that only one of its neighbours leads to, and one that none leads to."""
     robot = pm.load("pm3dof")
     joints = robot.command_coordinates[:2]
+    every, _ = waypoints(robot, joints, robot.home.q, lambda starts, targets: np.resize(targets, starts.shape))
+    axes = [np.unique(axis) for axis in every.T]
     home = robot.read(joints, robot.home.q)
-    axes = list(waypoint_lattice(robot, joints, home).axes.values())
     k, m = (int(np.abs(axis - value).argmin()) for axis, value in zip(axes, home, strict=True))
-    corner, only = (axes[0][k + 1], axes[1][m + 1]), (axes[0][k], axes[1][m + 1])
+    far, only, closed = (axes[0][k + 2], axes[1][m]), (axes[0][k + 3], axes[1][m]), (axes[0][0], axes[1][0])
 
-    def to(walk: reference._Walk, target: np.ndarray) -> np.ndarray:
-        blocked = tuple(target) == corner and tuple(walk._start[:2]) != only
-        return np.full(robot.model.nq, np.nan) if blocked else np.resize(target, robot.model.nq)
+    def walk(starts: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        q = np.full(starts.shape, np.nan)
+        for row, (start, target) in enumerate(zip(starts, targets, strict=True)):
+            if tuple(target) != closed and (tuple(target) != far or tuple(start[:2]) == only):
+                q[row, :2], q[row, 2:] = target, 0.0
+        return q
 
-    monkeypatch.setattr(reference._Walk, "to", to)
-    values, _ = reference.Reference(robot, joints).lattice
-    assert corner in set(map(tuple, values))
-    assert len(values) == len(axes[0]) * len(axes[1])
+    values, q = waypoints(robot, joints, robot.home.q, walk)
+    assert set(map(tuple, every)) - set(map(tuple, values)) == {closed}
+    np.testing.assert_array_equal(q[:, :2], values)
+
+
+def test_both_engines_have_the_same_waypoints() -> None:
+    """By which way a waypoint is reached decides between poses of one branch with the same commands."""
+    robot = pm.load(FIVE_BAR)
+    joints = robot.command_coordinates
+    solver = robot.continuation(joints)
+    assert solver is not None
+    values, q = solver.lattice
+    expected, poses = reference.Reference(robot, joints).lattice
+    assert len(values) > 800
+    np.testing.assert_array_equal(values, expected)
+    np.testing.assert_allclose(q, poses, rtol=0.0, atol=1e-9)
