@@ -248,6 +248,8 @@ def _imprecision(robot: Robot) -> str:
 def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool) -> None:
     """List the assemblies near the described home, and write as home the chosen one, or the only one within limits."""
     homes = assembled_homes(robot)
+    if not robot.actuated_indices.size:
+        message(f"pm3dof: {robot.name} has no drives: assemblies are told apart by the loops alone; name --drives first")
     joints = list(zip(robot.model.names, robot.model.joints, strict=True))[1:]
     names = [name for name, joint in joints if joint.nv == 1]
     entries = [
