@@ -158,10 +158,10 @@ def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Omit the pictures of a calibration report and most poses of its maps, which take half of its time."""
     from matplotlib.figure import Figure
 
-    from pm3dof_pin.calibration import calibrate, report, workspace_errors
+    from pm3dof_pin.calibration import report, workspace_errors
 
     names = ("tip_error_validation", "tip_error_held_out", "residuals", "workspace", "parameters")
-    monkeypatch.setattr(calibrate, "calibration_pictures", lambda *_, **__: dict.fromkeys(names, Figure()))
+    monkeypatch.setattr(report, "calibration_pictures", lambda *_, **__: dict.fromkeys(names, Figure()))
     monkeypatch.setattr(report, "html_image", lambda figure, text: f"<p>{text}</p>")
     monkeypatch.setattr(workspace_errors, "_POINTS", 7)
 

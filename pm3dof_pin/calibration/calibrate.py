@@ -8,9 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import require_kind
@@ -22,7 +21,6 @@ from pm3dof_pin.calibration.folder import summary_of, write_calibration
 from pm3dof_pin.calibration.heat import as_if_cold
 from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.refusals import doubts, likely_cause, refusals
-from pm3dof_pin.calibration.report import calibration_pictures, report_as_html
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
 from pm3dof_pin.errors.presets import with_free_zeros
@@ -41,6 +39,9 @@ from pm3dof_pin.measuring.export_file import ColumnMap
 from pm3dof_pin.measuring.measurement_file import TARGET_POINT_SIGMA, read_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import OnFailure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 logger = logging.getLogger(__name__)
 
@@ -71,10 +72,14 @@ class Calibration(Fit):
 
     def pictures(self) -> dict[str, Figure]:
         """Draw the pictures of the report, by file name."""
+        from pm3dof_pin.calibration.report import calibration_pictures  # it loads matplotlib
+
         return calibration_pictures(self, self.held_out, self.workspace_errors, validation=self.validation)
 
     def report(self) -> str:
         """Return the report as one HTML page that holds its pictures; equal calibrations give equal bytes."""
+        from pm3dof_pin.calibration.report import report_as_html  # it loads matplotlib
+
         return report_as_html(self, self.summary(), self.pictures(), self.workspace_errors)
 
     def summary(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.special
+import scipy
 
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.errors.command_correction import weighted_control

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.special
+import scipy
 
 from pm3dof_pin.calibration.fit import Fit
 from pm3dof_pin.calibration.held_out import HeldOut

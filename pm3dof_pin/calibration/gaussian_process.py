@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
-import scipy.optimize
+import scipy
 
 from pm3dof_pin.calibration.learned_model import LearnedModel
 from pm3dof_pin.exceptions import ConvergenceError

@@ -13,8 +13,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
-import scipy.special
+import scipy
 
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE

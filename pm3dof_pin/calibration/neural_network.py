@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from pm3dof_pin.calibration.learned_model import LearnedModel
 from pm3dof_pin.typing import Array
@@ -115,6 +115,8 @@ def _train(inputs: Array, targets: Array, decay: float, seed: int) -> _Weights:
     bounds = [math.sqrt(6.0 / sum(shapes[layer])) for layer in (0, 0, 2, 2)]
     start = np.random.default_rng(seed).uniform(-1.0, 1.0, ends[-1]) * np.repeat(bounds, np.diff(ends, prepend=0))
     # stopping early only makes the network smoother, and cross-validation judges the result
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _MAX_STEPS, "gtol": _SLOPE})
+    found = scipy.optimize.minimize(
+        cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _MAX_STEPS, "gtol": _SLOPE}
+    )
     hidden, hidden_bias, output, output_bias = split(found.x)
     return hidden, hidden_bias, output, output_bias

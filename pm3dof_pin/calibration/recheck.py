@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-import scipy.linalg
-import scipy.special
+import scipy
 
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.folder import HISTORY, read_compensation

@@ -28,8 +28,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.optimize
-import scipy.special
+import scipy
 
 from pm3dof_pin.calibration.pseudo_error import control_inverse
 from pm3dof_pin.errors.normal_vectors import norm_quantiles

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import typer
 
+from pm3dof_pin.calibration.acceptance import (
+    STANDARDS,
+    InstrumentErrors,
+    evaluate_acceptance,
+    planned_targets,
+    write_acceptance_plan,
+)
+from pm3dof_pin.calibration.folder import read_compensation
 from pm3dof_pin.cli.options import ColumnsOf, Json, RobotOptions
 from pm3dof_pin.cli.output import print_result, table_lines
+from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.measuring.export_file import ColumnMap
 
 TestName: TypeAlias = Literal["positioning", "diagonals", "circular", "probing"]
 """Tests of ISO 230-2, -6, -4 and -10."""
@@ -55,19 +66,6 @@ def acceptance(
     as_json: Json = False,
 ) -> None:
     """Plan a test of ISO 230-2, -4, -6 or -10, or evaluate one from a file, with its test uncertainty; in metres."""
-    import json
-
-    from pm3dof_pin.calibration.acceptance import (
-        STANDARDS,
-        InstrumentErrors,
-        evaluate_acceptance,
-        planned_targets,
-        write_acceptance_plan,
-    )
-    from pm3dof_pin.calibration.folder import read_compensation
-    from pm3dof_pin.files import write_text_atomically
-    from pm3dof_pin.measuring.export_file import ColumnMap
-
     if action == "plan":
         place = circle if test in ("circular", "probing") else line
         if place is None or file is not None:

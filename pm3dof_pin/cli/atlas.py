@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -23,10 +23,10 @@ from pm3dof_pin.cli.map_options import (
 from pm3dof_pin.cli.options import AppliedWrenches, Json, MachineOptions, tilt_angle
 from pm3dof_pin.cli.output import message, print_result, progress_bar
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.typing import Branch
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
+from pm3dof_pin.maps.quantity import NO_WRENCH, MappedRobot
+from pm3dof_pin.typing import Branch
 
 _MIN_POINTS = 2
 _POSES = 10_000  # approximate size of an atlas over all coordinates
@@ -82,9 +82,6 @@ def atlas(
     The axes are the coordinates named with --range, in that order. Without --range they are all coordinates over their
     ranges; for pm3dof, z_e, theta_x, theta_y. An interrupted job resumes when the same command is run again.
     """
-    from pm3dof_pin.maps.atlas import Atlas, compute_atlas
-    from pm3dof_pin.maps.quantity import NO_WRENCH, MappedRobot
-
     known = known_quantities(quantity)
     if out.suffix not in (".nc", ".zarr"):
         raise typer.BadParameter(f"--out {out}: expected a name ending in .nc or .zarr")
@@ -174,7 +171,6 @@ def _all_ranges(robot: Robot, counts: str | None) -> list[CoordinateRange]:
 def _draw(path: Path, robot: Robot, formats: list[PictureFormat] | None) -> list[Path]:
     """Draw the pictures of a finished atlas next to it."""
     from pm3dof_pin.figures.atlas import atlas_pictures
-    from pm3dof_pin.maps.atlas import open_atlas
 
     with progress_bar("pictures") as progress:
         with open_atlas(path) as dataset:

@@ -7,18 +7,19 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import typer
 
+from pm3dof_pin.calibration.calibrate import Calibration, Options
+from pm3dof_pin.calibration.calibrate import calibrate as calibrate_machine
+from pm3dof_pin.calibration.folder import ACCURACIES, REPORT, accuracy_rows
+from pm3dof_pin.cli.error_options import RobotErrorsOptions
 from pm3dof_pin.cli.instrument_options import TargetOffsets
-from pm3dof_pin.cli.options import ColumnsOf, Json, RobotErrorsOptions
+from pm3dof_pin.cli.options import ColumnsOf, Json
 from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import PictureFormat, save
-
-if TYPE_CHECKING:
-    from pm3dof_pin.calibration.calibrate import Calibration
-
+from pm3dof_pin.printers.printer_calibration import calibrate_printer
 
 _FIRMWARE = (".cfg", ".g", ".gcode", ".log")
 _ROOMS = ("pm3dof_pin.csv_table", "pm3dof_pin.measuring", "pm3dof_pin.calibration")
@@ -87,9 +88,6 @@ def calibrate(
     if file.suffix.lower() in _FIRMWARE:
         _calibrate_printer(file, out, bed_mesh=bed_mesh, force=force, as_json=as_json)
         return
-    from pm3dof_pin.calibration.calibrate import Options
-    from pm3dof_pin.calibration.calibrate import calibrate as calibrate_machine
-    from pm3dof_pin.calibration.folder import REPORT
 
     with _warnings_as_messages(), progress_bar("calibrating") as progress:
         calibration = calibrate_machine(
@@ -117,7 +115,6 @@ def calibrate(
 
 
 def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as_json: bool) -> None:
-    from pm3dof_pin.printers.printer_calibration import calibrate_printer
 
     found = calibrate_printer(file, bed_mesh=bed_mesh, on_refusal="keep" if force else "raise")
     folder = found.save(out)
@@ -162,7 +159,6 @@ def _warnings_as_messages() -> Iterator[None]:
 
 
 def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
-    from pm3dof_pin.calibration.folder import ACCURACIES, accuracy_rows
 
     found = calibration.identification
     known, named = found.identifiability, []

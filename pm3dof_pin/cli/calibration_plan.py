@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import typer
 
+from pm3dof_pin.calibration.measurement_plan import MeasurementPlan, plan_measurements, seeds
+from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
 from pm3dof_pin.cli.calibrate import MethodName
+from pm3dof_pin.cli.error_options import RobotErrorsOptions
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.instrument_options import TRACKER, InstrumentOptions
-from pm3dof_pin.cli.options import Json, KnownWrenches, RobotErrorsOptions
+from pm3dof_pin.cli.options import Json, KnownWrenches
 from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
-
-if TYPE_CHECKING:
-    from pm3dof_pin.calibration.measurement_plan import MeasurementPlan
-    from pm3dof_pin.calibration.planning import PlanningProblem
+from pm3dof_pin.measuring.measurement_file import read_plan, write_plan
 
 COUNTS = (3, 6, 9, 12, 20, 40, 60)
 
@@ -92,9 +92,6 @@ def calibration_plan(
 
     Lengths in metres. With known wrenches, the spring stiffnesses are identified too.
     """
-    from pm3dof_pin.calibration.measurement_plan import plan_measurements
-    from pm3dof_pin.measuring.measurement_file import read_plan, write_plan
-
     if accuracy is not None and (poses is not None or not 0.0 < accuracy < math.inf):
         raise typer.BadParameter("expected a positive --accuracy [m], without --poses")
     if not seen.sees_whole_poses and (accuracy is not None or method != "lm"):
@@ -140,8 +137,6 @@ def calibration_plan(
 
 
 def _draw(problem: PlanningProblem, minimum: int, path: Path, formats: list[PictureFormat] | None) -> list[Path]:
-    from pm3dof_pin.calibration.measurement_plan import seeds
-    from pm3dof_pin.calibration.planning import STRATEGIES
     from pm3dof_pin.figures.plan_accuracy import plan_accuracy
     from pm3dof_pin.figures.style import save_figure
 

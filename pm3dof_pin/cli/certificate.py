@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from pm3dof_pin.calibration.acceptance import AcceptanceResult
+from pm3dof_pin.calibration.certificate import SCHEMA, Certificate
 from pm3dof_pin.cli.options import Json
 from pm3dof_pin.cli.output import print_result, table_lines
+from pm3dof_pin.files import write_text_atomically
 
 
 def certificate(
@@ -24,12 +28,6 @@ def certificate(
     as_json: Json = False,
 ) -> None:
     """Write a report to sign: statements with expanded uncertainty and decision, and what is not claimed."""
-    import json
-
-    from pm3dof_pin.calibration.acceptance import AcceptanceResult
-    from pm3dof_pin.calibration.certificate import SCHEMA, Certificate
-    from pm3dof_pin.files import write_text_atomically
-
     found = Certificate.make(calibration, about, [AcceptanceResult.read(path) for path in test or ()])
     texts = {
         "certificate.html": found.as_html(),

@@ -12,13 +12,13 @@ from pm3dof_pin.cli.output import print_result
 from pm3dof_pin.export.convert import convert_robot
 
 # as in pm3dof_pin.export.convert, which is not imported just for the help
-_Dialect: TypeAlias = Literal["urdf", "mjcf", "sdf", "drake"]
+Dialect: TypeAlias = Literal["urdf", "mjcf", "sdf", "drake"]
 
 
 def convert(
     source: Annotated[str, typer.Argument(metavar="IN", help="Name or path of a robot, in any dialect.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .urdf, .xml (MJCF) or .sdf.")],
-    to: Annotated[_Dialect | None, typer.Option("--to", help="Dialect, if the suffix does not say it.")] = None,
+    to: Annotated[Dialect | None, typer.Option("--to", help="Dialect, if the suffix does not say it.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Fail if anything is lost, and write nothing.")] = False,
     meshes: Annotated[bool, typer.Option(help="Include meshes and their files.")] = True,
     as_json: Json = False,

@@ -6,22 +6,31 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
+from pm3dof_pin.cli.error_options import RobotErrorsOptions
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.map_options import EngineOption, Over, Values, robot_grid
-from pm3dof_pin.cli.options import Json, Out, RobotErrorsOptions, Wrench
+from pm3dof_pin.cli.options import Json, Out, Wrench
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.poses import value_in_words, with_units
-
-if TYPE_CHECKING:
-    from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare
-    from pm3dof_pin.errors.source_errors import ErrorSources
-    from pm3dof_pin.kinematics.grid import Grid
-    from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.errors.error_budget import budget_as_data
+from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare, section_grid
+from pm3dof_pin.errors.error_map import error_map as error_map_at
+from pm3dof_pin.errors.source_errors import ErrorSources
+from pm3dof_pin.errors.tolerances import Rule, allocate_tolerances
+from pm3dof_pin.files import csv_text, write_text_atomically
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.maps.datasets import write_map
+from pm3dof_pin.maps.grid_map import LEAST_SENSITIVE, budget_map, error_section, errors_over, whole_workspace_grid
+from pm3dof_pin.maps.limit_space import limits_over
+from pm3dof_pin.measuring.measurement_file import write_plan
 
 _CLASSES = {
     "kinematic parameters": "quasi-static: kinematic parameters",
@@ -113,15 +122,6 @@ def error_map(
     without one, every joint has 0.1 mm and 0.5 mrad. Robots whose coordinates have no ranges are evaluated at random
     poses. Coordinates that are neither mapped nor fixed stay in the middle of their ranges.
     """
-    import numpy as np
-
-    from pm3dof_pin.errors.error_map import error_map as error_map_at
-    from pm3dof_pin.errors.error_map import section_grid
-    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-    from pm3dof_pin.maps.datasets import write_map
-    from pm3dof_pin.maps.grid_map import error_section, errors_over, whole_workspace_grid
-    from pm3dof_pin.maps.limit_space import limits_over
-
     if sum([samples is not None, bool(over or at), whole]) > 1:
         raise typer.BadParameter("expected only one of --samples, --whole, or --over with --at")
     errors = which.load_errors(engine)
@@ -174,8 +174,6 @@ def error_map(
         if target is not None:
             result["allocation"] = _allocation(mapped, target, None if coverage == "rms" else float(coverage))
         if budget or source or wrench is not None or rise is not None or large:
-            from pm3dof_pin.errors.source_errors import ErrorSources
-
             sources = ErrorSources(errors, wrench=wrench, rise=rise, large=large, distribution=distribution)
             found, written = _map_budget(
                 sources, mapped.poses if grid is None else grid, source or [], eta, out, formats if pictures else []
@@ -208,7 +206,6 @@ def _summary(mapped: ErrorMap) -> dict[str, Any]:
 
 
 def _allocation(mapped: ErrorMap, target: float, coverage: float | None) -> dict[str, Any]:
-    from pm3dof_pin.errors.tolerances import Rule, allocate_tolerances
 
     def tolerances(rule: Rule, *, compensated: bool = False) -> dict[str, float]:
         return allocate_tolerances(mapped, target, rule, compensated=compensated, coverage=coverage).tolerances
@@ -228,7 +225,6 @@ def _plain(share: ParameterShare) -> dict[str, Any]:
 
 
 def _write_ranking(ranking: list[ParameterShare], path: Path) -> Path:
-    from pm3dof_pin.files import csv_text, write_text_atomically
 
     rows = [["parameter", "class", "tip_rms_m", "share", "uncompensable_share"]]
     for share in ranking:
@@ -310,13 +306,6 @@ def _map_budget(
 
     Returns the entries for the command's result, and the files written. With no formats, nothing is drawn.
     """
-    import numpy as np
-
-    from pm3dof_pin.errors.error_budget import budget_as_data
-    from pm3dof_pin.maps.datasets import write_map
-    from pm3dof_pin.maps.grid_map import LEAST_SENSITIVE, budget_map
-    from pm3dof_pin.measuring.measurement_file import write_plan
-
     dataset, budget = budget_map(sources, grid_or_poses, eta=eta, names=names)
     files = write_map(dataset, out / "error_budget")
     least = np.flatnonzero(budget.least_sensitive())
@@ -324,7 +313,6 @@ def _map_budget(
     files.append(write_plan(region, out / "least_sensitive.csv"))
     if formats != [] and dataset["tip_rms"].ndim in (2, 3) and LEAST_SENSITIVE in dataset:
         from pm3dof_pin.figures.least_sensitive_region import least_sensitive_region
-        from pm3dof_pin.maps.limit_space import limits_over
 
         figure = least_sensitive_region(dataset, partial(limits_over, sources.robot))
         files += save(figure, out / "least_sensitive_region.png", formats)

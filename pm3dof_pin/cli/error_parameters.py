@@ -15,6 +15,7 @@ from pm3dof_pin.description.error_file import ErrorEntry, error_file_text, read_
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter, all_parameters
 from pm3dof_pin.errors.minimal_parameters import error_entries, minimal_parameters, poses_needed
+from pm3dof_pin.errors.presets import preset
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.poses import Poses
@@ -58,7 +59,7 @@ def error_parameters(
     if process is not None:
         raise typer.BadParameter("--process needs --preset complete or --preset dh")
     file = find_robot(which.path, which.package_path or ()).errors
-    loaded = which.load_errors()
+    loaded = GeometricErrors.from_file(which.load(), file)
     declared = loaded if file.is_file() else None
     given = declared.parameters if declared is not None else ()
     first = [parameter for parameter in given if isinstance(parameter, GeometricParameter)]
@@ -103,7 +104,6 @@ def error_parameters(
 def _write_preset(
     which: RobotOptions, name: PresetName, process: ProcessName | None, out: Path | None, *, as_json: bool
 ) -> None:
-    from pm3dof_pin.errors.presets import preset
 
     if out is None:
         raise typer.BadParameter("--preset needs --out: the error file to write")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -24,12 +24,13 @@ from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.poses import with_units
 from pm3dof_pin.cli.stiffness import Model
 from pm3dof_pin.description.coordinates import shown_in
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.grid import Grid
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.maps.quantity import MappedRobot
-    from pm3dof_pin.maps.workspace_evaluation import Distribution, WorkspaceEvaluation
+from pm3dof_pin.files import csv_text, write_text_atomically
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.datasets import write_netcdf
+from pm3dof_pin.maps.limit_space import limits_over
+from pm3dof_pin.maps.quantity import NO_WRENCH, MappedRobot
+from pm3dof_pin.maps.workspace_evaluation import Distribution, WorkspaceEvaluation, evaluate_workspace
 
 _POSES = 100_000  # approximate number over all coordinates
 _MAX_POINTS = 201  # of one coordinate
@@ -63,11 +64,6 @@ def evaluate(
     limits; averages are over its volume. For each axis, the critical springs are listed: which contributes most, over
     what part of the workspace, and the least gain from making it 10 % stiffer.
     """
-    from pm3dof_pin.files import write_text_atomically
-    from pm3dof_pin.maps.datasets import write_netcdf
-    from pm3dof_pin.maps.quantity import NO_WRENCH, MappedRobot
-    from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
-
     known = known_quantities(quantity)
     loaded = which.load(engine, threads)
     mapped = MappedRobot(loaded, wrench or NO_WRENCH)
@@ -189,7 +185,6 @@ def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
 
 def _table(found: WorkspaceEvaluation) -> str:
     """Return the distributions as CSV."""
-    from pm3dof_pin.files import csv_text
 
     def ends(entry: Distribution) -> list[str]:
         return [f"{value:.12g}" for place in (entry.least_at, entry.greatest_at) for value in place.values()]
@@ -207,8 +202,6 @@ def _table(found: WorkspaceEvaluation) -> str:
 def _draw(mapped: MappedRobot, grid: Grid, out: Path, formats: list[PictureFormat] | None) -> list[Path]:
     """Draw which spring governs over the first two coordinates, with the others in the middle of their ranges."""
     from pm3dof_pin.figures.critical_springs import critical_springs
-    from pm3dof_pin.maps.limit_space import limits_over
-    from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 
     robot = mapped.robot
     ends = {name: (float(values[0]), float(values[-1])) for name, values in grid.axes.items()}

@@ -7,20 +7,24 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import typer
 
+from pm3dof_pin.calibration.folder import read_compensation
+from pm3dof_pin.cli.compensate import require_calibration_of
 from pm3dof_pin.cli.options import MachineOptions
 from pm3dof_pin.cli.output import message
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.export.controllers import export_controller, placed_by_tool
+from pm3dof_pin.export.formats import export_robot
 from pm3dof_pin.kinematics.robot import Robot
 
 # as in pm3dof_pin.export.formats and .controllers, which are not imported just for the help
-_Format: TypeAlias = Literal["drake", "gepetto", "mjcf", "ros", "sdf", "urdf"]
-_Controller: TypeAlias = Literal["c", "grblhal", "linuxcnc", "ros2_control"]
+ExportFormat: TypeAlias = Literal["drake", "gepetto", "mjcf", "ros", "sdf", "urdf"]
+ControllerFormat: TypeAlias = Literal["c", "grblhal", "linuxcnc", "ros2_control"]
 
 
 def export(
     which: MachineOptions,
     format_name: Annotated[
-        Literal[_Format, _Controller],
+        Literal[ExportFormat, ControllerFormat],
         typer.Argument(metavar="FORMAT", help="Output format."),
     ],
     out: Annotated[
@@ -48,7 +52,7 @@ def export(
     """
     which.announce()
     folder = out if out is not None else Path("results") / format_name
-    if format_name in get_args(_Controller):
+    if format_name in get_args(ControllerFormat):
         options: dict[str, Any] = {"header_only": header_only, "real": "float" if single else "double"}
         written = _export_controller(which.load(), format_name, folder, calibration, options)
     else:
@@ -61,7 +65,6 @@ def export(
 
 
 def _export_description(which: MachineOptions, format_name: str, folder: Path, *, meshes: bool) -> list[Path]:
-    from pm3dof_pin.export.formats import export_robot
 
     try:
         return export_robot(which.path, format_name, folder, meshes=meshes, **which.reading)
@@ -74,12 +77,8 @@ def _export_description(which: MachineOptions, format_name: str, folder: Path, *
 def _export_controller(
     robot: Robot, name: Any, folder: Path, calibration: Path | None, options: dict[str, Any]
 ) -> list[Path]:
-    from pm3dof_pin.export.controllers import export_controller, placed_by_tool
 
     if calibration is not None:
-        from pm3dof_pin.calibration.folder import read_compensation
-        from pm3dof_pin.cli.compensate import require_calibration_of
-
         known = read_compensation(calibration)
         require_calibration_of(robot, known.errors.robot, calibration)
         robot = known.errors.robot

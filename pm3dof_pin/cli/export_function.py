@@ -9,6 +9,7 @@ import typer
 
 from pm3dof_pin.cli.options import RobotOptions
 from pm3dof_pin.cli.output import message
+from pm3dof_pin.export.functions import export_functions
 
 
 def export_function(
@@ -30,8 +31,6 @@ def export_function(
 
     The functions take radians and metres. Each file has a _selftest() against values computed by Pinocchio.
     """
-    from pm3dof_pin.export.functions import export_functions
-
     which.announce()
     names: Any = [name.strip() for name in of.split(",") if name.strip()]
     for file in export_functions(which.load(), names, to, out):

@@ -7,10 +7,14 @@ from typing import Annotated
 
 import typer
 
+from pm3dof_pin.capability.mapping_fit import fit_mapping
+from pm3dof_pin.capability.serial_constants import serial_constants
 from pm3dof_pin.cli.options import Json, PlaceOptions, RobotOptions
 from pm3dof_pin.cli.output import print_result
 from pm3dof_pin.cli.poses import place
 from pm3dof_pin.cli.transmission_options import TransmissionOptions
+from pm3dof_pin.export.serial import constant_lines, serial_entries, serial_tree, write_serial
+from pm3dof_pin.kinematics.robot import Robot
 
 
 def export_serial(
@@ -38,11 +42,6 @@ def export_serial(
     loops other than those of --joints, and those of --hold, are fixed at home. The closed robot is written next to it
     as MJCF, and with --to the mapping as in `pm3dof export function`.
     """
-    from pm3dof_pin.capability.mapping_fit import fit_mapping
-    from pm3dof_pin.capability.serial_constants import serial_constants
-    from pm3dof_pin.export.serial import constant_lines, serial_entries, serial_tree, write_serial
-    from pm3dof_pin.kinematics.robot import Robot
-
     given = [name for name, value in (("--at", at), ("--worst", worst), ("--least-wrong", least_wrong)) if value]
     if len(given) > 1:
         raise typer.BadParameter(f"expected one of {' and '.join(given)}")

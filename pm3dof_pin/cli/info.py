@@ -8,7 +8,9 @@ from collections import Counter
 from dataclasses import replace
 from typing import Annotated, Any, Literal, TypeAlias
 
+import msgspec
 import numpy as np
+import pinocchio as pin
 import typer
 
 from pm3dof_pin.cli import completion
@@ -34,7 +36,7 @@ from pm3dof_pin.tolerances import CLOSED, RANK_GAP
 
 _CLOSED = 1e-6  # greatest residual of a closed loop [m or rad]
 
-_FileKind: TypeAlias = Literal["closures", "errors", "parameters"]
+FileKind: TypeAlias = Literal["closures", "errors", "parameters"]
 """The YAML files of a robot."""
 
 _KINDS = (("Free", "free"), ("Spherical", "spherical"), ("Composite", "composite"), ("Planar", "planar"))
@@ -46,7 +48,7 @@ def info(
         str | None, typer.Argument(metavar="ROBOT", help="Same as --robot.", autocompletion=completion.robots)
     ] = None,
     schema: Annotated[
-        _FileKind | None,
+        FileKind | None,
         typer.Option("--schema", help="Print the JSON Schema of a YAML file, for editors, and exit."),
     ] = None,
     assemble: Annotated[
@@ -92,10 +94,8 @@ def info(
     print_result(result, _lines(result, machine), as_json=as_json)
 
 
-def _file_schema(kind: _FileKind) -> dict[str, Any]:
+def _file_schema(kind: FileKind) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a kind of file, generated from the types that check it on reading."""
-    import msgspec
-
     schema: type | None = {"closures": ClosuresSchema, "errors": ErrorFileSchema}.get(kind)
     schemas = [schema or Parameter, *(SPRING_SCHEMAS.values() if kind == "closures" else ())]
     (root, *springs), parts = msgspec.json.schema_components(schemas, ref_template="#/$defs/{name}")
@@ -152,8 +152,6 @@ def _kind(robot: Robot, name: str, shortname: str) -> str:
 
 def _is_carried(model: Any, frame: Any, joints: list[str]) -> bool:
     """Tell whether a frame is the link that one of the joints carries."""
-    import pinocchio as pin
-
     if frame.type != pin.FrameType.BODY or model.names[frame.parentJoint] not in joints:
         return False
     return bool(model.frames[frame.parentFrame].type == pin.FrameType.JOINT)
@@ -249,7 +247,7 @@ def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool
     """List the assemblies near the described home, and write as home the chosen one, or the only one within limits."""
     homes = assembled_homes(robot)
     if not robot.actuated_indices.size:
-        message(f"pm3dof: {robot.name} has no drives: assemblies are told apart by the loops alone; name --drives first")
+        message(f"pm3dof: {robot.name} has no drives: assemblies are told apart by the loops alone without --drives")
     joints = list(zip(robot.model.names, robot.model.joints, strict=True))[1:]
     names = [name for name, joint in joints if joint.nv == 1]
     entries = [

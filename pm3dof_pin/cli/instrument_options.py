@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import typer
 
 from pm3dof_pin.cli.command import NUMBER_OF_VALUES
 from pm3dof_pin.cli.options import finite_number
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.instrument import TARGET_SIGMA, Instrument, circle_of_targets
 from pm3dof_pin.measuring.instruments.table import INSTRUMENTS, placed_instrument
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.measuring.instrument import Instrument
 
 Place: TypeAlias = tuple[float, float, float]
 """A point given as an option, in the axes of the tool or of the base [m]."""
@@ -153,8 +151,6 @@ class InstrumentOptions:
 
     def tracker(self) -> Instrument:
         """Return a tracker that sees as much as the options say."""
-        from pm3dof_pin.measuring.instrument import TARGET_SIGMA, Instrument, circle_of_targets
-
         one = TARGET_SIGMA if self.sigma is None else self.sigma
         seen = replace(
             Instrument.with_targets(one),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -28,6 +28,7 @@ from pm3dof_pin.cli.poses import (
 )
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, shown_in
 from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.kinematics.assembly_modes import AssemblyModes, assembly_modes
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 from pm3dof_pin.kinematics.pose_file import placement_readings, readings
 from pm3dof_pin.kinematics.poses import Poses
@@ -35,9 +36,6 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Vector
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.assembly_modes import AssemblyModes
 
 _SHOWN_JOINTS = 8  # passive joints at most in a table of assembly modes
 _TIMES = 5  # each assembly mode is to be met
@@ -234,8 +232,6 @@ def _joints(configuration: Configuration) -> dict[str, float]:
 
 def _found_modes(robot: Robot, commands: Vector) -> AssemblyModes:
     """Return the modes found from random starts; UnreachablePoseError if there is none."""
-    from pm3dof_pin.kinematics.assembly_modes import assembly_modes
-
     found = assembly_modes(robot, commands, times=_TIMES)
     if not found.counts:
         values = with_units(robot.command_coordinates, commands)

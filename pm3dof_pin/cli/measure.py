@@ -8,9 +8,10 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
+from pm3dof_pin.cli.error_options import RobotErrorsOptions
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.instrument_options import InstrumentOptions
-from pm3dof_pin.cli.options import Json, KnownWrenches, RobotErrorsOptions
+from pm3dof_pin.cli.options import Json, KnownWrenches
 from pm3dof_pin.cli.output import message, print_result
 from pm3dof_pin.errors.pose_error import rotation_matrix
 from pm3dof_pin.exceptions import ConvergenceError, OutputError, PM3DofError, UnreachablePoseError

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from pm3dof_pin.cli.options import ColumnsOf, Json, RobotOptions
 from pm3dof_pin.cli.output import message, print_result, table_lines
 from pm3dof_pin.exceptions import OutputError, lines_in_words
-from pm3dof_pin.measuring.ballbar import Sense
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.ballbar import Circle, Sense, ballbar_columns, write_ballbar
+from pm3dof_pin.measuring.export_file import ColumnMap
+from pm3dof_pin.measuring.file_check import FileCheck
+from pm3dof_pin.measuring.joining import join
 
 
 def measurements(
@@ -67,10 +68,6 @@ def measurements(
 
     Nothing is fitted. Lengths in metres, angles in radians.
     """
-    from pm3dof_pin.measuring.ballbar import Circle, ballbar_columns, write_ballbar
-    from pm3dof_pin.measuring.export_file import ColumnMap
-    from pm3dof_pin.measuring.joining import join
-
     if action != "ballbar" and len(files) != (1 if action == "check" else 2):
         raise typer.BadParameter(f"{action} takes {'one file' if action == 'check' else 'two files'}")
     given, of_log = (None if each is None else ColumnMap.load(each) for each in (columns, log_columns))
@@ -111,7 +108,6 @@ def measurements(
 
 
 def _check(file: Path, robot: Robot, columns: Any, *, own_frame: bool, as_json: bool) -> None:
-    from pm3dof_pin.measuring.file_check import FileCheck
 
     found = {"robot": robot.name} | FileCheck.read(file, robot, own_frame=own_frame, columns=columns).as_data()
     separators = {",": "commas", ";": "semicolons", "\t": "tabs", "blanks": "blanks"}

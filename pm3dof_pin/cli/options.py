@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.command import NUMBER_OF_VALUES
 from pm3dof_pin.cli.output import message
-
-if TYPE_CHECKING:
-    from pm3dof_pin.chapter.tripod import Tripod
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
-    from pm3dof_pin.kinematics.robot import LoadOptions, Robot
-    from pm3dof_pin.typing import Engine
+from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.kinematics.robot import LoadOptions, Robot
+from pm3dof_pin.typing import Engine
 
 THE_TRIPOD = "pm3dof"
 ROBOT_VARIABLE = "PM3DOF_ROBOT"
@@ -159,15 +157,6 @@ _Lenient = Annotated[
     bool,
     typer.Option("--lenient", help="Read over elements of the description that could matter and are not understood."),
 ]
-_ErrorFile = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        exists=True,
-        dir_okay=False,
-        help="Error parameters (YAML) to use instead of the robot's own; `pm3dof error-parameters` writes such a file.",
-    ),
-]
 _Pose = Annotated[
     list[float] | None,
     typer.Argument(
@@ -210,17 +199,8 @@ class RobotOptions:
 
     def load(self, engine: Engine = "program", threads: int | None = None) -> Robot:
         """Load the robot."""
-        from pm3dof_pin.kinematics.robot import Robot
-
         self.announce()
         return Robot.load(self.path, **(self.reading | {"engine": engine, "threads": threads}))
-
-    def load_errors(self, engine: Engine = "program") -> GeometricErrors:
-        """Load the robot with all its error parameters."""
-        from pm3dof_pin.errors.error_parameters import GeometricErrors
-
-        self.announce()
-        return GeometricErrors.load(self.path, **(self.reading | {"engine": engine}))
 
     def announce(self) -> None:
         """Say which robot the answer is about, if none was named."""
@@ -248,25 +228,8 @@ class RobotOptions:
     @property
     def is_the_tripod(self) -> bool:
         """Whether it is the chapter's machine, which has a closed form."""
-        from pm3dof_pin.description.robots import find_robot
-
         name = self.robot or THE_TRIPOD
         return name == THE_TRIPOD or find_robot(name).path.samefile(find_robot(THE_TRIPOD).path)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RobotErrorsOptions(RobotOptions):
-    """The robot, and its error file by `--errors`."""
-
-    errors: _ErrorFile = None
-
-    def load_errors(self, engine: Engine = "program") -> GeometricErrors:
-        """Load the robot with the error parameters of `--errors`, or its own."""
-        if self.errors is None:
-            return super().load_errors(engine)
-        from pm3dof_pin.errors.error_parameters import GeometricErrors
-
-        return GeometricErrors.from_file(self.load(engine), self.errors)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,14 +243,12 @@ class MachineOptions(RobotOptions):
         """Name or path that the robot is loaded from; with `--config`, a URDF generated for this process."""
         if self.config is None:
             return super().path
-        from pm3dof_pin.export.description import temporary_description
+        from pm3dof_pin.export.description import temporary_description  # it loads what one pose does not need
 
         return temporary_description(self.robot or THE_TRIPOD, self.config)
 
     def tripod(self) -> Tripod:
         """Load the chapter's machine, or that of `--config`, in closed form."""
-        from pm3dof_pin.chapter.tripod import Tripod
-
         return Tripod.load(self.config)
 
 

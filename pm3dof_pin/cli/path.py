@@ -12,7 +12,8 @@ import numpy as np
 import typer
 
 from pm3dof_pin.calibration.folder import read_compensation
-from pm3dof_pin.cli.options import Json, Payload, RobotErrorsOptions, finite_number, numbers_by_name
+from pm3dof_pin.cli.error_options import RobotErrorsOptions
+from pm3dof_pin.cli.options import Json, Payload, finite_number, numbers_by_name
 from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, progress_bar, table_lines
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
 from pm3dof_pin.exceptions import InvalidValueError

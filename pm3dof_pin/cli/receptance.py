@@ -44,7 +44,7 @@ _BASE = {f"base:{axis}": row for row, axis in enumerate("xyz")}
 _SHOWN_SHARES = 3
 _MIN_LOSS = 1e-6  # of a mode, by which the heights of peaks are compared
 
-_From = Annotated[
+SourceOption = Annotated[
     list[str] | None,
     typer.Option(
         "--from",
@@ -53,7 +53,7 @@ _From = Annotated[
         "single-DoF joint; `base:x` is an acceleration of the base. May be repeated; the tool's six by default.",
     ),
 ]
-_To = Annotated[
+OutputOption = Annotated[
     list[str] | None,
     typer.Option("--to", metavar="FRAME:AXIS|JOINT", help="What moves; what the force acts on by default."),
 ]
@@ -62,8 +62,8 @@ _To = Annotated[
 def receptance(
     chosen: PoseOptions,
     which: MachineOptions,
-    sources: _From = None,
-    outputs: _To = None,
+    sources: SourceOption = None,
+    outputs: OutputOption = None,
     band: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="LOW HIGH", help="Frequencies [Hz]; by default from a tenth of the first mode on."),

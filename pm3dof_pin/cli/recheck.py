@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from pm3dof_pin.calibration.folder import HISTORY, read_compensation
+from pm3dof_pin.calibration.recheck import add_to_history, read_history
+from pm3dof_pin.calibration.recheck import recheck as compute
+from pm3dof_pin.calibration.updating import updated
 from pm3dof_pin.cli.options import ColumnsOf, Json
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.files import read_bytes, read_text, write_text_atomically
+from pm3dof_pin.measuring.measurement_file import read_measurements
 
 
 def recheck(
@@ -32,15 +39,6 @@ def recheck(
 
     The calibration is the prior, with its covariance; its checksums are compared first.
     """
-    import hashlib
-
-    from pm3dof_pin.calibration.folder import HISTORY, read_compensation
-    from pm3dof_pin.calibration.recheck import add_to_history, read_history
-    from pm3dof_pin.calibration.recheck import recheck as compute
-    from pm3dof_pin.calibration.updating import updated
-    from pm3dof_pin.files import read_bytes, read_text, write_text_atomically
-    from pm3dof_pin.measuring.measurement_file import read_measurements
-
     known = read_compensation(calibration)
     robot = known.errors.robot
     measurements = read_measurements(file, robot, own_frame=own_frame, columns=columns)

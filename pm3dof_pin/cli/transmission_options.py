@@ -6,21 +6,28 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import Annotated, Any, get_args
 
 import typer
 
+from pm3dof_pin.capability.transmission import (
+    Transmission,
+    described_gains,
+    held_as_described,
+    held_outside,
+    joint_driven,
+    transmission,
+)
 from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_grid
 from pm3dof_pin.cli.options import Payload, finite_number, numbers_by_name, payloads_of
 from pm3dof_pin.cli.output import message
 from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNotFoundError
-
-if TYPE_CHECKING:
-    from pm3dof_pin.capability.transmission import Transmission
-    from pm3dof_pin.kinematics.grid import Grid
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.typing import Vector
+from pm3dof_pin.export.functions import Quantity, Target, export_functions
+from pm3dof_pin.kinematics.assemblies import home_within_limits
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Vector
 
 _POINTS = 21  # of each joint, unless that makes too many poses
 _MAX_POSES = 30_000  # of a box by default
@@ -88,9 +95,6 @@ class TransmissionOptions:
 
         A home that is open, singular or beyond limits is replaced by the only assembly within limits, with a message.
         """
-        from pm3dof_pin.capability.transmission import held_as_described, held_outside, joint_driven
-        from pm3dof_pin.kinematics.assemblies import home_within_limits
-
         try:
             part = robot if self.hold is None else held_as_described(robot, self.held)
             if (home := home_within_limits(part)) is not None:
@@ -117,7 +121,6 @@ class TransmissionOptions:
         return self._of(poses.robot, poses)
 
     def _of(self, robot: Robot, values: Poses | Grid) -> Transmission:
-        from pm3dof_pin.capability.transmission import transmission
 
         limits: Any = limits_of_drives(robot, effort=self.effort, speed=self.speed, armature=self.armature)
         limits["payloads"] = payloads_of(robot, self.payload)
@@ -142,8 +145,6 @@ class TransmissionOptions:
 
     def write_functions(self, robot: Robot, folder: Path) -> list[Path]:
         """Write the mapping for the libraries of --to, into `functions` of a folder; return the files."""
-        from pm3dof_pin.export.functions import Quantity, Target, export_functions
-
         libraries: list[Any] = list(dict.fromkeys(_names(self.to)))
         known = [name for choice in get_args(Target) for name in (get_args(choice) or (choice,))]
         if unknown := [name for name in libraries if name not in known]:
@@ -160,8 +161,6 @@ class TransmissionOptions:
         if len(numbers) not in (0, 2) or min(numbers, default=0.0) < 0.0:
             raise typer.BadParameter(f"--gains {self.gains}: expected KP,KD, not negative")
         if not numbers:
-            from pm3dof_pin.capability.transmission import described_gains
-
             return dict(described_gains(robot))
         return dict(zip(("kp", "kd"), numbers, strict=True))
 

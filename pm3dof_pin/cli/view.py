@@ -51,9 +51,9 @@ _DEFLECTIONS = ("deflection_x_m", "deflection_y_m", "deflection_z_m")  # of file
 _FOR_EVER = 10_000  # repetitions of a path
 
 
-_Shown: TypeAlias = Literal["stiffness", "compliance", "velocity", "force", "error"]
-_ELASTIC: dict[_Shown, EllipsoidMatrix] = {"stiffness": "stiffness", "compliance": "compliance"}
-_OF_MOTION: dict[_Shown, MotionQuantity] = {"velocity": "velocity", "force": "force", "error": "error"}
+EllipsoidKind: TypeAlias = Literal["stiffness", "compliance", "velocity", "force", "error"]
+_ELASTIC: dict[EllipsoidKind, EllipsoidMatrix] = {"stiffness": "stiffness", "compliance": "compliance"}
+_OF_MOTION: dict[EllipsoidKind, MotionQuantity] = {"velocity": "velocity", "force": "force", "error": "error"}
 
 
 LimitOption: TypeAlias = Annotated[
@@ -65,7 +65,7 @@ LimitOption: TypeAlias = Annotated[
 def view(
     chosen: PlaceOptions,
     which: MachineOptions,
-    of: Annotated[_Shown, typer.Option(help="What the ellipsoids show.")] = "stiffness",
+    of: Annotated[EllipsoidKind, typer.Option(help="What the ellipsoids show.")] = "stiffness",
     others: Annotated[
         Literal["free", "held"] | None,
         typer.Option(help="The other three motions: free or held; by default held for stiffness, free for compliance."),
@@ -210,7 +210,9 @@ def _elastic_model(machine: Robot) -> ElasticModel | None:
     return ElasticModel(machine)
 
 
-def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, others: OtherMotions | None) -> None:
+def _draw_ellipsoids(
+    viewer: Viewer, model: ElasticModel | None, of: EllipsoidKind, others: OtherMotions | None
+) -> None:
     if viewer.mechanism.tool_frame is None or viewer.mechanism.description.floating_base:
         return
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -15,12 +15,14 @@ from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, remove_former, save
 from pm3dof_pin.description.coordinates import shown_in
-
-if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.maps.limit_space import LimitSpace
-    from pm3dof_pin.maps.workspace import Interval, Workspace
-    from pm3dof_pin.typing import Array
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.chapter_workspace import compare_printed_ranges, printed_ranges, tripod_space
+from pm3dof_pin.maps.datasets import write_map
+from pm3dof_pin.maps.limit_space import LimitSpace, robot_space
+from pm3dof_pin.maps.workspace import Interval, Workspace, reachable_intervals, spaces_by_branch
+from pm3dof_pin.maps.workspace import workspace as reachable_set
+from pm3dof_pin.typing import Array
 
 _SECTIONS, _DIRECTIONS = 121, 360  # of the tripod
 _FEW_SECTIONS, _FEW_DIRECTIONS = 31, 240  # of other robots
@@ -67,12 +69,6 @@ def workspace(
     on another branch and out of reach; with --all-branches each branch is listed and drawn. Of a
     robot with one coordinate the intervals are printed.
     """
-    from pm3dof_pin.exceptions import InvalidValueError
-    from pm3dof_pin.maps.chapter_workspace import compare_printed_ranges, printed_ranges, tripod_space
-    from pm3dof_pin.maps.datasets import write_map
-    from pm3dof_pin.maps.workspace import reachable_intervals, spaces_by_branch
-    from pm3dof_pin.maps.workspace import workspace as reachable_set
-
     given = which.robot or coordinate or values or which.tool_frame or engine != "program"
     given = given or beyond_ranges or all_branches
     tripod = None
@@ -140,8 +136,6 @@ def _robot_space(
     beyond_ranges: bool,
     all_branches: bool,
 ) -> LimitSpace:
-    from pm3dof_pin.exceptions import InvalidValueError
-    from pm3dof_pin.maps.limit_space import robot_space
 
     fixed, chosen = robot_grid(loaded, [], values or ()).fixed, tuple(names) if names else None
     try:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from pm3dof_pin.errors.error_map import ErrorMap
 from pm3dof_pin.errors.error_parameters import HALF_WIDTH, Distribution

@@ -6,10 +6,10 @@ import base64
 import io
 from collections.abc import Iterable, Sequence
 from html import escape
+from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
-
-from pm3dof_pin.figures.style import fit_title, house_style
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60em; margin: 2em auto; padding: 0 1em; }
@@ -36,6 +36,8 @@ def html_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def html_image(figure: Figure, text: str) -> str:
     """Return a picture, embedded as SVG, with a text for those who do not see it; identical ones give the same text."""
+    from pm3dof_pin.figures.style import fit_title, house_style  # it loads matplotlib
+
     buffer = io.BytesIO()
     with house_style():
         fit_title(figure)

@@ -55,9 +55,8 @@ class NamedArrays:
         return xr.Dataset(self.data_vars, self.coords, self.attrs)
 
 
-if TYPE_CHECKING:
-    _Labelled: TypeAlias = NamedArray | xr.DataArray | xr.Variable
-    Map: TypeAlias = NamedArrays | xr.Dataset
+_Labelled: TypeAlias = "NamedArray | xr.DataArray | xr.Variable"
+Map: TypeAlias = "NamedArrays | xr.Dataset"  #: values by name over coordinates, as written to files
 
 
 def dataset_attributes(title: str, machine: str) -> dict[str, str]:

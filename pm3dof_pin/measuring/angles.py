@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from pm3dof_pin.csv_table import CsvTable
 from pm3dof_pin.exceptions import MeasurementError
@@ -54,11 +54,11 @@ def orders_of(names: tuple[str, ...]) -> list[AngleOrder]:
 def quaternions_of_angles(angles: Array, order: AngleOrder, names: tuple[str, ...]) -> Array:
     """Return quaternions w, x, y, z of the angles in some columns, shape=(n, 3) [rad], as shape=(n, 4)."""
     if order == "rotation vector":
-        turned = Rotation.from_rotvec(angles)
+        turned = scipy.spatial.transform.Rotation.from_rotvec(angles)
     else:
         kind, axes = order.split()
         own = angles if names == _NUMBERED else angles[:, ["xyz".index(axis) for axis in axes]]
-        turned = Rotation.from_euler(axes if kind == "fixed" else axes.upper(), own)
+        turned = scipy.spatial.transform.Rotation.from_euler(axes if kind == "fixed" else axes.upper(), own)
     return np.asarray(turned.as_quat())[:, [3, 0, 1, 2]]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.interpolate
+import scipy
 
 from pm3dof_pin.typing import Array
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import scipy.special
+import scipy
 import yaml
 
 from pm3dof_pin.calibration.identification import Identification, identify

@@ -119,3 +119,17 @@ def test_modules_do_not_import_each_other_in_a_circle() -> None:
 def test_the_package_imports_neither_scripts_nor_tests() -> None:
     first_names = {name.split(".")[0] for module in MODULES for name in _everything(module)}
     assert not first_names & {"scripts", "tests", "benchmarks", "docs", "pytest"}
+
+
+def test_commands_import_at_the_top_of_their_modules() -> None:
+    """But for what draws and loads Matplotlib or Rich, for what quick commands do not need (the compiler, the
+    machine of `--config`), and for completion, which runs at every press of Tab.
+    """
+    drawing = ("pm3dof_pin.figures.", "pm3dof_pin.paths.report", "matplotlib", "rich.")
+    slow = (*drawing, "pm3dof_pin.maps.", "pm3dof_pin.export.description")
+    for module in MODULES:
+        if _room(module) == "cli" and not module.endswith((".completion", ".stiffness_map")):
+            top = set(_parsed(module).body)
+            nested = _imports(node for node in _statements(_parsed(module).body, types=False) if node not in top)
+            unexpected = sorted(name for name in nested if not name.startswith(slow))
+            assert not unexpected, f"{module} imports inside functions: {', '.join(unexpected)}"
