@@ -143,7 +143,7 @@ class RobotDocument:
     def home(self) -> Configuration:
         """The home configuration with its loops closed, for other tools; ConvergenceError if they do not close."""
         home = self.mechanism.home
-        return home if home.closure_residual <= self.mechanism.closure_tolerance else self.mechanism.assemble(home)
+        return home if home.closure_residual <= self.mechanism.closure_tolerance else self.mechanism.assemble()
 
     def home_position(self, joint: Joint) -> float:
         """Return the coordinate of a joint in the home configuration [m, rad]; 0 for a fixed joint."""
