@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Command, Coordinate, tool_coordinates
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
@@ -133,10 +133,7 @@ class PlacedMechanism(Mechanism):
     @cached_property
     def command_coordinates(self) -> tuple[Coordinate, ...]:
         """The commands, as coordinates."""
-        return tuple(
-            Coordinate(command.name, command.unit, joint=command.joint, offset=command.offset, scale=command.scale)
-            for command in self.commands
-        )
+        return tuple(_as_coordinate(command) for command in self.commands)
 
     def configuration(self, q: ArrayLike) -> Configuration:
         """Return the read-only :class:`Configuration` at q, shape=(nq,) [m, rad]; its loops need not be closed."""
@@ -149,8 +146,10 @@ class PlacedMechanism(Mechanism):
                 return coordinate
         raise InvalidValueError("coordinate", name, f"one of {', '.join(c.name for c in self.coordinates)}")
 
-    def range_of(self, coordinate: Coordinate) -> tuple[float, float]:
-        """Return the declared range of a coordinate, or that of its joint; infinite if there is none [m, rad]."""
+    def range_of(self, coordinate: Coordinate | Command) -> tuple[float, float]:
+        """Return the declared range of a coordinate or command, or its joint's; infinite if there is none [m, rad]."""
+        if isinstance(coordinate, Command):
+            coordinate = _as_coordinate(coordinate)
         lower, upper = -np.inf, np.inf
         if coordinate.joint is not None:
             joint = self.single_joint(coordinate.joint)
@@ -227,3 +226,7 @@ class PlacedMechanism(Mechanism):
             return tool_coordinates(components if at_home else motion_components(usual))
         except (ConvergenceError, InvalidValueError):
             return ()
+
+
+def _as_coordinate(command: Command) -> Coordinate:
+    return Coordinate(command.name, command.unit, joint=command.joint, offset=command.offset, scale=command.scale)

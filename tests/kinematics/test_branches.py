@@ -204,7 +204,7 @@ def test_both_engines_number_branches_alike_and_poses_return(name):
 
 def test_the_reference_finds_the_same_poses_without_any_compiled_code(tmp_path):
     robot = load("linear_delta")
-    ranges = np.array([robot.range_of(c) for c in robot.command_coordinates])
+    ranges = np.array([robot.range_of(command) for command in robot.commands])
     commands = np.random.default_rng(5).uniform(*ranges.T, (40, 3))
     expected = robot.forward(commands, on_failure="nan")
     assert 0.2 < expected.solved.mean() < 0.95
