@@ -101,6 +101,18 @@ def test_forces_of_the_drives_bound_the_feed(tmp_path: Path) -> None:
     assert bound.summary["least_feed_ceiling_m_s"] < free.summary["least_feed_ceiling_m_s"]
 
 
+def test_forces_are_bounded_where_the_tool_point_turns_back(tmp_path: Path) -> None:
+    """There the tool only turns for a moment, and what the drives do per length of the path differs from row to row."""
+    turns = 2.0 * np.pi * np.linspace(0.0828, 0.0838, 101)
+    poses = np.stack([3.0 * np.sin(9.0 * turns), 3.0 * np.cos(7.0 * turns), 0.5 + 0.01 * np.sin(3.0 * turns)], axis=1)
+    rows = [",".join(f"{number:.9g}" for number in (*pose, 0.02)) for pose in poses]
+    (tmp_path / "rows.csv").write_text("\n".join(["theta_x_deg,theta_y_deg,z_e_m,feed_m_s", *rows]) + "\n")
+    robot = pm.load("pm3dof")
+    found = evaluate_path(robot, read_path(robot, tmp_path / "rows.csv"), PathOptions(spacing=1.0))
+    assert found.columns["feed_m_s"].max() > 1e-4
+    assert 100.0 < forces(found).max() <= 500.0  # of the description
+
+
 def test_drives_that_do_not_hold_the_robot_are_named(tmp_path: Path) -> None:
     found = fast(tmp_path, drive_force=np.full(3, 1.0))
     assert found.summary["points_beyond_drive_force"] == len(found)
