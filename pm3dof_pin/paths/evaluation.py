@@ -28,7 +28,7 @@ from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.singularity_measures import singularity_measures
+from pm3dof_pin.kinematics.singularity_measures import least_singularity_measures
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.paths.bounds import DriveForces, MotionLimits, along_path, drive_limits, path_metric
@@ -275,8 +275,7 @@ class PathEvaluation:
         return instantaneous_mobility(generic_configuration(self.robot.home))
 
     def _singularity(self, poses: Poses) -> Vector:
-        measures = singularity_measures(self.robot, poses, self._mobility, on_failure="nan")
-        return np.asarray(measures.min(axis=1, initial=np.inf))
+        return np.asarray(least_singularity_measures(self.robot, poses, self._mobility, on_failure="nan"))
 
     def _drive_forces(
         self, motion: Motion, moves: Indices, shares: Array, feed: Vector, first: Matrix, second: Matrix

@@ -54,14 +54,16 @@ def _write_csv(found: PathEvaluation, path: Path, tell: Progress) -> None:
                 for flags in np.unique(columns[_WORDS]).tolist()
             }
             cells = _rounded(np.stack([np.degrees(columns[n]) if n in turned else columns[n] for n in columns]))
-            shown: list[list[Any]] = cells.tolist()
+            rows: list[list[Any]] = cells.T.tolist()
             for k, name in enumerate(columns):
                 if name == _WORDS:
-                    shown[k] = [words[flags] for flags in columns[name].tolist()]
+                    for row, flags in zip(rows, columns[name].tolist(), strict=True):
+                        row[k] = words[flags]
                 elif name in whole or not np.isfinite(cells[k]).all():
                     form = "%.0f" if name in whole else "%.12g"
-                    shown[k] = [form % number for number in shown[k]]
-            file.write(_lines(list(zip(*shown, strict=True))))
+                    for row in rows:
+                        row[k] = form % row[k]
+            file.write(_lines(rows))
             done += len(columns["line"])
             tell(done, len(found))
 

@@ -11,7 +11,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.singularity_measures import singularity_measures
+from pm3dof_pin.kinematics.singularity_measures import least_singularity_measures, singularity_measures
 
 MACHINES = Path(__file__).parents[1] / "machines"
 
@@ -29,6 +29,19 @@ def test_engines_agree(name: str | Path) -> None:
     np.testing.assert_allclose(found, careful, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "name", ["pm3dof", "three_rps", "hexapod", "ur5", MACHINES / "delta", MACHINES / "five_bar"], ids=str
+)
+def test_the_least_of_them(name: str | Path) -> None:
+    robot = Robot.load(name, tool_frame="tool0") if name == "ur5" else Robot.load(name)
+    q = reachable_poses(robot, 60, np.random.default_rng(0)).q.copy()
+    q[5] = np.nan
+    every = singularity_measures(robot, q, usual(robot), on_failure="nan")
+    found = least_singularity_measures(robot, q, usual(robot), on_failure="nan")
+    np.testing.assert_allclose(found, every.min(axis=1), rtol=1e-8, atol=1e-12)
+    assert np.isnan(found).sum() == 1
+
+
 def test_a_turned_hexapod_comes_down_to_zero() -> None:
     hexapod = Robot.load("hexapod")
     turns = np.radians([60.0, 89.0, 89.5, 90.0])
@@ -37,6 +50,8 @@ def test_a_turned_hexapod_comes_down_to_zero() -> None:
     assert parallel[-1] < 1e-12
     assert parallel[1] == pytest.approx(2.0 * parallel[2], rel=5e-3)  # linear next to the singularity
     assert min(constraint.min(), serial.min(), passive.min()) > 0.01
+    least = least_singularity_measures(hexapod, poses, usual(hexapod))
+    np.testing.assert_allclose(least, np.minimum(parallel, serial), rtol=1e-9, atol=1e-12)
 
 
 def test_open_loops_are_refused_and_missing_poses_stay_missing() -> None:
