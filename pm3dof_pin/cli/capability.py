@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 
 from pm3dof_pin.capability.tool_capability import ToolCapability, tool_capability
+from pm3dof_pin.cli.drive_options import DriveEffort, DriveSpeed, limits_of_drives
 from pm3dof_pin.cli.options import (
     AppliedWrenches,
     Json,
@@ -19,25 +19,17 @@ from pm3dof_pin.cli.options import (
 )
 from pm3dof_pin.cli.output import message, table_lines
 from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
-from pm3dof_pin.cli.transmission_options import limits_of_drives
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array
 
-_LIMITS = "N|JOINT=N,.."
-
 
 def capability(
     chosen: PoseOptions,
     which: MachineOptions,
-    effort: Annotated[
-        str | None, typer.Option(metavar=_LIMITS, help="Effort of the drives [N, N m]; the description's by default.")
-    ] = None,
-    speed: Annotated[
-        str | None,
-        typer.Option(metavar=_LIMITS, help="Their speed [m/s, rad/s]; the description's by default."),
-    ] = None,
+    effort: DriveEffort = None,
+    speed: DriveSpeed = None,
     wrench: AppliedWrenches = None,
     twist: Twists = None,
     payload: Payload = 0.0,

@@ -12,6 +12,8 @@ import numpy as np
 import typer
 
 from pm3dof_pin.calibration.folder import read_compensation
+from pm3dof_pin.capability.transmission import drive_values
+from pm3dof_pin.cli.drive_options import DriveEffort, DriveSpeed, limits_of_drives
 from pm3dof_pin.cli.error_options import RobotErrorsOptions
 from pm3dof_pin.cli.options import Json, Payload, finite_number, numbers_by_name
 from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, progress_bar, table_lines
@@ -104,6 +106,8 @@ def path(
             parser=finite_number,
         ),
     ] = None,
+    effort: DriveEffort = None,
+    speed: DriveSpeed = None,
     tolerance: Annotated[
         float, typer.Option(metavar="E", help="Greatest deviation between points [m].", parser=finite_number)
     ] = TOLERANCE,
@@ -147,6 +151,9 @@ def path(
         raise InvalidValueError("--calibration", calibration, f"a calibration of {robot.name}")
     limits = MotionLimits() if controller is None else controller_limits(robot, controller)
     given: dict[str, Any] = {"acceleration": acceleration, "rapid": rapid, "feed": feed, "jerk": jerk}
+    of_drives = limits_of_drives(robot, effort=effort, speed=speed)
+    given["drive_force"] = drive_values(robot, "effort", of_drives["effort"]) if effort else None
+    given["drive_speed"] = drive_values(robot, "speed", of_drives["speed"]) if speed else None
     limits = replace(limits, **{name: value for name, value in given.items() if value is not None})
     options = PathOptions(
         tool_length=tool_length,

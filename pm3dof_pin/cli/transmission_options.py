@@ -18,8 +18,9 @@ from pm3dof_pin.capability.transmission import (
     joint_driven,
     transmission,
 )
+from pm3dof_pin.cli.drive_options import NUMBER_OF_DRIVES, DriveEffort, DriveSpeed, limits_of_drives
 from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_grid
-from pm3dof_pin.cli.options import Payload, finite_number, numbers_by_name, payloads_of
+from pm3dof_pin.cli.options import Payload, finite_number, payloads_of
 from pm3dof_pin.cli.output import message
 from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.export.functions import Quantity, Target, export_functions
@@ -32,7 +33,6 @@ from pm3dof_pin.typing import Vector
 _POINTS = 21  # of each joint, unless that makes too many poses
 _MAX_POSES = 30_000  # of a box by default
 _MAX_NUMBERS = 100_000_000  # of all poses of a box: under a gigabyte
-_LIMITS = "N|JOINT=N,.."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,17 +62,11 @@ class TransmissionOptions:
             help="Values of a joint [deg, m]; may be repeated. By default each joint's range.",
         ),
     ] = None
-    effort: Annotated[
-        str | None,
-        typer.Option(metavar=_LIMITS, help="Greatest effort of the drives [N m, N]; the description's by default."),
-    ] = None
-    speed: Annotated[
-        str | None,
-        typer.Option(metavar=_LIMITS, help="Greatest speed of the drives [rad/s, m/s]; the description's by default."),
-    ] = None
+    effort: DriveEffort = None
+    speed: DriveSpeed = None
     armature: Annotated[
         str | None,
-        typer.Option(metavar=_LIMITS, help="Inertia of the rotors at the driven joints [kg m^2, kg]."),
+        typer.Option(metavar=NUMBER_OF_DRIVES, help="Inertia of the rotors at the driven joints [kg m^2, kg]."),
     ] = None
     gains: Annotated[
         str | None, typer.Option(metavar="KP,KD", help="Gains of each drive; the description's by default.")
@@ -163,23 +157,6 @@ class TransmissionOptions:
         if not numbers:
             return dict(described_gains(robot))
         return dict(zip(("kp", "kd"), numbers, strict=True))
-
-
-def limits_of_drives(robot: Robot, **texts: str | None) -> dict[str, float | dict[str, float] | None]:
-    """Read limits of the drives by the names of their options; wrong usage ends the command with status 2."""
-    given = {name: numbers_by_name(f"--{name}", text) for name, text in texts.items()}
-    for name, limits in given.items():
-        numbers = limits if isinstance(limits, dict) else {} if limits is None else {"": limits}
-        for drive, value in numbers.items():
-            if drive and drive not in robot.actuated_joints:
-                known = ", ".join(robot.actuated_joints)
-                raise typer.BadParameter(f"--{name}: {robot.name} has no drive '{drive}': expected one of {known}")
-            if value < 0.0 or (value == 0.0 and name != "armature"):
-                expected = "nonnegative" if name == "armature" else "positive"
-                raise typer.BadParameter(
-                    f"--{name} {drive + '=' if drive else ''}{value:g}: expected a {expected} number"
-                )
-    return given
 
 
 def _completed(robot: Robot, part: Robot) -> Vector:

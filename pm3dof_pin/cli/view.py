@@ -14,10 +14,10 @@ import numpy as np
 import typer
 
 from pm3dof_pin.cli import completion
+from pm3dof_pin.cli.drive_options import limits_of_drives
 from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
 from pm3dof_pin.cli.poses import place, solve_pose
-from pm3dof_pin.cli.transmission_options import limits_of_drives
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent, unit_of
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel

@@ -55,7 +55,7 @@ enum {{
   NAME_CONTRADICTION = 5  /* commands of redundant drives contradict each other */
 }};
 
-/* Newton steps after which a walk gives up; a call takes at most {steps} steps and two walks. */
+/* Newton steps after which a walk gives up; a call takes at most {steps} steps and {walks} walks. */
 #ifndef NAME_MAX_STEPS
 #define NAME_MAX_STEPS {max_steps}
 #endif
@@ -181,6 +181,11 @@ static int name_close(int is_forward, int m, const double *targets, const name_m
   return status;
 }
 
+static void name_place(const double *coordinates, double *targets)
+{
+INVERSE_TARGETS
+}
+
 DECLARE_start
 {
   double y[NAME_READINGS];
@@ -198,8 +203,17 @@ DECLARE_inverse
 {
   double targets[NAME_TARGETS], q[NAME_POSITIONS], y[NAME_READINGS];
   int k, status;
-INVERSE_TARGETS
+  name_place(coordinates, targets);
   status = name_close(0, NAME_COORDINATES, targets, model, state, q);
+#if NAME_WAYPOINTS
+  for (k = 0; k < model->n_golden && status != NAME_OK && status != NAME_NO_NUMBER; k++) {
+    double waypoint[NAME_TARGETS], via[NAME_POSITIONS];
+    name_place(model->golden + k * (NAME_COORDINATES + NAME_COMMANDS), waypoint);
+    state->walks += 2;
+    if (name_walk(0, model->numbers + NAME_NUMBERS, waypoint, model->numbers, via) == NAME_OK)
+      status = name_walk(0, via, targets, model->numbers, q);
+  }
+#endif
   if (status != NAME_OK)
     return status;
   if (!state->is_started)
@@ -269,7 +283,7 @@ DECLARE_selftest
   for (n = 0; n < model->n_golden; n++) {
     const double *const golden = model->golden + n * (NAME_COORDINATES + NAME_COMMANDS);
     int is_wrong = 0;
-    for (way = 0; way < 2; way++) { /* from the pose before, then from home */
+    for (way = NAME_WAYPOINTS; way < 2; way++) { /* from the pose before (an arm keeps its posture), from home */
       if (way == 1)
         name_start(&plain, &state);
       if (name_inverse(&plain, &state, golden, found + NAME_COORDINATES) != NAME_OK)
@@ -397,6 +411,7 @@ def _header(controller: Controller) -> str:
         nq=controller.inverse.nq,
         numbers=len(controller.parameters),
         steps=_STEPS,
+        walks=_walks(controller),
         max_steps=_MAX_STEPS,
     )
 
@@ -433,8 +448,13 @@ def _comment(controller: Controller, real: Real) -> str:
     return f"/*\n{body}\n */"
 
 
+def _walks(controller: Controller) -> int:
+    """Return the most walks of a call: from the pose before and home, and of an arm by each golden pose."""
+    return 2 if controller.robot.has_loops else 2 + 2 * max(len(model.golden) for model in controller.models.values())
+
+
 def _operations(controller: Controller) -> list[str]:
-    """Return lines that bound the operations of a call: of one Newton step, of the most of these, and of two walks."""
+    """Return lines that bound the operations of a call: of one Newton step, of the most of these, and of all walks."""
     count = {name: len(program.lines) for name, program in controller.programs.items()}
     judged = count["accept"] + count["branch"] + count["readings"]
     lines = []
@@ -442,9 +462,10 @@ def _operations(controller: Controller) -> list[str]:
         part = {name: len(program.lines) for name, program in walk.parts.items()}
         near = _STEPS * part["step"] + judged
         walked = part["start"] + _MAX_STEPS * (part["step"] + part["control"]) + 2 * count["branch"]
+        walks = _walks(controller) if way == "inverse" else 2
         lines.append(
             f"  {way}: {part['step'] + judged} along a smooth motion, at most {near} near the pose before, and "
-            f"{near + 2 * walked} with walks"
+            f"{near + walks * walked} with walks"
         )
     return lines
 
@@ -494,6 +515,7 @@ def _core(controller: Controller, real: Real, linkage: str) -> str:
         "READINGS": len(programs["readings"].results),
         "CHECKS": len(programs["checks"].results),
         "STEPS": _STEPS,
+        "WAYPOINTS": int(not robot.has_loops),  # an arm goes round singular poses, by golden ones
         "IS_PRECISE": int(tolerance <= nearly),
         "IS_SMOOTH": int(robot.model.nq == robot.model.nv),  # else positions are no numbers to extrapolate
         "FARTHEST": LEG,

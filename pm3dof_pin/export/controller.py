@@ -32,6 +32,7 @@ Deviations = Callable[[Matrix], Array]
 """Learned deviations of the commands at commands, shape=(n, number of commands) [m, rad]."""
 
 _GOLDEN_POSES = 8
+_WAYPOINTS = 32  # golden poses of an arm, by which it goes round singular ones
 _NODES = {1: 65, 2: 33, 3: 17}  # per drive of a table, by the number of drives
 _TRIALS = 2000  # random commands at which a table is compared with its function
 _SEED = 0
@@ -203,6 +204,10 @@ class Controller:
         """Return poses that walks from home reach in both directions, solved by Pinocchio."""
         poses = _some_poses(robot)
         values = poses.coordinates
+        if not robot.has_loops:  # then a walk may end in another posture
+            targets, own = self.targets(robot.coordinates, values), model.numbers[: len(self.parameters)]
+            ends, status = self.inverse.evaluate(self._starts(model, len(targets)), targets, own)
+            poses, values = robot.at(ends[status == REACHED]), values[status == REACHED]
         with suppress(PM3DofError):
             poses = robot.solve(values, guess=poses.q, on_failure="nan", engine="pinocchio")
         sound, numbers = np.array(poses.solved), model.numbers[: len(self.parameters)]
@@ -241,7 +246,7 @@ def _some_poses(robot: Robot) -> Poses:
     """Return random poses within limits; or else, if these leave hardly any, poses near home."""
     generator = np.random.default_rng(_SEED)
     try:
-        return reachable_poses(robot, _GOLDEN_POSES, generator)
+        return reachable_poses(robot, _GOLDEN_POSES if robot.has_loops else _WAYPOINTS, generator)
     except PM3DofError:
         scales = coordinate_scales(robot, robot.coordinates)
         around = generator.uniform(-_NEAR, _NEAR, (_GOLDEN_POSES, len(scales))) * scales

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+import numpy as np
+
 from pm3dof_pin.arrays import require_choice
 from pm3dof_pin.description.coordinates import tool_coordinates
 from pm3dof_pin.exceptions import InvalidValueError
@@ -16,12 +18,17 @@ from pm3dof_pin.export.linuxcnc import linuxcnc_files
 from pm3dof_pin.export.ros2_control import ros2_control_files
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.actuation import motion_components
-from pm3dof_pin.kinematics.mobility import generic_configuration
+from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.singularity_measures import least_singularity_measures
 from pm3dof_pin.programs.c import Real
 
 ControllerName: TypeAlias = Literal["c", "grblhal", "linuxcnc", "ros2_control"]
 """Name of a controller; "c" is C99 for any of them."""
+
+_TRIALS = 200  # poses among which an arm finds a regular one
+_NEARLY_SINGULAR = 0.01  # distance of home from singular poses, relative to the greatest
 
 _WRITERS: Mapping[ControllerName, Callable[[Controller], dict[str, str]]] = {
     "c": c_files,
@@ -44,6 +51,20 @@ def placed_by_tool(robot: Robot) -> Robot:
     if not 1 < len(components) == len(robot.commands):
         return robot
     return robot.replace(coordinates=tool_coordinates(components)).with_home(robot.home.q)
+
+
+def with_regular_home(robot: Robot) -> Robot:
+    """Return an arm that is singular at home with the least singular of random poses within limits as its home.
+
+    Near a singular pose it has no direction to go to where the tool shall be. Other robots are returned as they are.
+    """
+    if robot.has_loops or robot.tool_frame is None or robot.coordinates == robot.command_coordinates:
+        return robot
+    trials = reachable_poses(robot, _TRIALS, np.random.default_rng(0)).q
+    usual = instantaneous_mobility(generic_configuration(robot.home))
+    measures = least_singularity_measures(robot, np.vstack([robot.home.q, trials]), usual)
+    best = int(np.argmax(measures))
+    return robot.with_home(trials[best - 1]) if measures[0] < _NEARLY_SINGULAR * measures[best] else robot
 
 
 def export_controller(
@@ -89,7 +110,7 @@ def export_controller(
     """
     require_choice("controller", controller, ControllerName)
     require_choice("real", real, Real)
-    placed = placed_by_tool(robot)
+    placed = with_regular_home(placed_by_tool(robot))
     if placed is not robot and calibrated is not None:
         calibrated = placed.replace(model=calibrated.model, closures=calibrated.closures)
     robot = placed

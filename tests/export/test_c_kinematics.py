@@ -19,7 +19,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
-from pm3dof_pin.export.controllers import export_controller, placed_by_tool
+from pm3dof_pin.export.controllers import export_controller, placed_by_tool, with_regular_home
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -118,6 +118,26 @@ def test_both_directions_as_pinocchio_solves_them(name: str, library: Callable[.
         status, found = compiled.jacobian()
         assert status == OK
         assert np.allclose(found / scales(robot)[:, None], jacobian / scales(robot)[:, None], rtol=0.0, atol=1e-8)
+
+
+def test_an_arm_that_is_singular_at_home_starts_elsewhere_and_goes_by_waypoints(tmp_path: Path) -> None:
+    arm = pm.load("ur5", tool_frame="tool0")
+    placed = with_regular_home(placed_by_tool(arm))
+    assert not np.allclose(placed.home.q, arm.home.q)
+    compiled = Library(Controller(placed), tmp_path)
+    failed, worst = compiled.selftest()
+    assert failed == 0
+    assert 0.0 < worst < 1e-12
+    poses = reachable_poses(placed, 200, np.random.default_rng(3))
+    found = 0
+    for values, transform in zip(poses.coordinates, poses.transforms, strict=True):
+        compiled.state.is_started = 0
+        status, commands = compiled.inverse(values)
+        assert status in (OK, OPEN)
+        if status == OK:
+            np.testing.assert_allclose(placed.forward(commands).transforms, transform, rtol=0.0, atol=1e-10)
+            found += 1
+    assert found > 160  # stretched poses are not always found
 
 
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod"])
