@@ -21,27 +21,27 @@ _FORMULA_STARTS = frozenset("=+-@\t\r")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)")
 
 MAX_BYTES = 64 * 2**20
-"""Largest file that is read."""
+"""Largest file that is read, but for those that are long by nature."""
 
 
-def read_bytes(path: Path | str) -> bytes:
+def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
     """Read a regular file of moderate size; DescriptionError for a pipe or device, which may never end."""
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise DescriptionError(path, "file", "expected a regular file, not a folder, pipe or device")
         with Path(path).open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+            content = file.read(max_bytes + 1)
     except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
         raise DescriptionError(path, "file", f"expected a readable file ({_reason(error)})") from error
-    if len(content) > MAX_BYTES:
-        raise DescriptionError(path, "file", f"expected no more than {MAX_BYTES >> 20} MiB")
+    if len(content) > max_bytes:
+        raise DescriptionError(path, "file", f"expected no more than {max_bytes >> 20} MiB")
     return content
 
 
-def read_text(path: Path | str) -> str:
+def read_text(path: Path | str, max_bytes: int = MAX_BYTES) -> str:
     """Read a UTF-8 text file, with or without a byte order mark; raises as :func:`read_bytes`."""
     try:
-        return read_bytes(path).decode("utf-8-sig")
+        return read_bytes(path, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DescriptionError(path, "file", f"expected UTF-8 text (byte {error.start} is invalid)") from error
 

@@ -28,6 +28,8 @@ from pm3dof_pin.typing import Array, Indices, Mask, Matrix, Vector
 TIME, FEED, FEED_PER_MINUTE = "time_s", "feed_m_s", "feed_mm_min"
 """Columns of a table: the time at each row, or the feed of the move that ends there."""
 
+_MAX_PROGRAM = 2**30  # bytes: some thirty million lines
+
 _MOVES = np.dtype(
     [
         ("lines", np.int64),
@@ -185,7 +187,8 @@ def read_path(
         for number, placement in (workpiece or {}).items()
     }
     home = tool_components(robot.home.tool_placement.homogeneous)
-    path_of_program = from_moves(*read_program(file, read_text(file), systems, home, has_tool=has_tool), systems)
+    text = read_text(file, _MAX_PROGRAM)
+    path_of_program = from_moves(*read_program(file, text, systems, home, has_tool=has_tool), systems)
     if not len(path_of_program):
         raise InvalidValueError("program", str(file), "at least one move")
     return path_of_program
