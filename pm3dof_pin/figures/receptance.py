@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from pm3dof_pin.dynamics.stability_lobes import StabilityLobes
-from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, new_figure
+from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, new_figure, round_ticks
 from pm3dof_pin.typing import Array, Vector
 
 _COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -64,6 +64,7 @@ def lobes_diagram(robot: str, lobes: StabilityLobes) -> Figure:
         if lobes.cutting.ap is not None:
             axes.axhline(1e3 * lobes.cutting.ap, color=_COLORS[5], linewidth=0.8)
         axes.set(xlim=(rpm[0], rpm[-1]), ylim=(0.0, 1e3 * top), xlabel="spindle speed [1/min]", ylabel="depth [mm]")
+        round_ticks(axes)
         axes.grid(True, color="#dddddd", linewidth=0.5)
         figure.suptitle(f"{robot}: stable below the line", y=0.97)
     return figure

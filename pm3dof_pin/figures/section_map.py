@@ -212,10 +212,10 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
         if raised:
             axes.add_collection3d(Line3DCollection(raised, **collected(style)))
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    axes.set_xlabel(sheet.axes[0], labelpad=-3)
-    axes.set_ylabel(sheet.axes[1], labelpad=-3)
+    axes.set_xlabel(sheet.axes[0], labelpad=-1)
+    axes.set_ylabel(sheet.axes[1], labelpad=-1)
     axes.set_zlabel(sheet.label, labelpad=4)
-    round_ticks(axes)
+    round_ticks(axes, 4, 4)
     axes.zaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     if scale.logarithmic:
         axes.zaxis.set_major_locator(FixedLocator([math.log10(tick) for tick in scale.ticks]))

@@ -266,7 +266,7 @@ def _draw_solid(axes: Any, sheet: _Sheet) -> None:
     axes.set_xlabel(sheet.labels[0], labelpad=-2)
     axes.set_ylabel(sheet.labels[1], labelpad=-2)
     axes.set_zlabel(sheet.labels[2], labelpad=5)
-    round_ticks(axes)
+    round_ticks(axes, 4, 4)
     axes.tick_params(axis="z", pad=3)
     axes.tick_params(axis="x", pad=-1)
     axes.tick_params(axis="y", pad=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,12 @@ JOBS = [
         *("--over", "pitch", "-20", "20", "5", "--over", "roll", "-10", "10", "5"),
         *("--effort", "40", "--speed", "10", "--out"),
     ),
+    (
+        *("receptance", "--robot", "pm3dof", "--from", "tool:x", "--from", "tool:y"),
+        *("--cutting", "kc=6e8,kr=0.3,teeth=3,ae=0.5,ap=0.0002", "--folder"),
+    ),
+    ("workspace", "--robot", "hexapod", "--out"),
+    ("workspace", "--robot", str(MACHINES / "five_bar"), "--out"),
 ]
 
 
@@ -54,6 +61,11 @@ def problems_of(figure: Figure) -> list[str]:
             continue
         if box.x0 < -1.0 or box.y0 < -1.0 or box.x1 > width + 1.0 or box.y1 > height + 1.0:
             found.append(f"outside: {text.get_text()!r}")
+    for axis in lines:
+        labels = [boxes[label] for label in _drawn_labels(axis) if label in boxes]
+        for a, b in itertools.pairwise(labels):
+            if min(a.x1, b.x1) - max(a.x0, b.x0) > -2.0 and min(a.y1, b.y1) - max(a.y0, b.y0) > 0.0:
+                found.append(f"ticks of {axis.axes.get_title()!r} touch")
     titles = [text for text in boxes if text not in ticks]
     for number, one in enumerate(titles):
         for other in titles[number + 1 :]:
