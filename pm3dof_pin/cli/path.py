@@ -20,6 +20,7 @@ from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, progress_
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.tool_components import rotation_of_angles, tool_components
 from pm3dof_pin.paths.bounds import MotionLimits
 from pm3dof_pin.paths.controller import controller_limits
@@ -30,7 +31,7 @@ from pm3dof_pin.paths.placement import place_path
 from pm3dof_pin.paths.summary import DRIVE_HEADER, WORST_HEADER, drive_rows, worst_rows
 from pm3dof_pin.paths.tool_path import ToolPath, read_path
 from pm3dof_pin.paths.writing import write_path
-from pm3dof_pin.typing import Matrix
+from pm3dof_pin.typing import Matrix, Vector
 
 _NUMBERS_OF_PLACEMENT = (3, 6)
 _SYSTEMS = range(54, 60)
@@ -153,7 +154,7 @@ def path(
     given: dict[str, Any] = {"acceleration": acceleration, "rapid": rapid, "feed": feed, "jerk": jerk}
     of_drives = limits_of_drives(robot, effort=effort, speed=speed)
     given["drive_force"] = drive_values(robot, "effort", of_drives["effort"]) if effort else None
-    given["drive_speed"] = drive_values(robot, "speed", of_drives["speed"]) if speed else None
+    given["drive_speed"] = _drive_speed(robot, of_drives["speed"], limits.drive_speed) if speed else None
     limits = replace(limits, **{name: value for name, value in given.items() if value is not None})
     options = PathOptions(
         tool_length=tool_length,
@@ -200,6 +201,14 @@ def path(
         message(f"pm3dof: {share} points need more force than a drive has, first in line {line}")
     if not summary["within_limits"] or beyond_force:
         raise typer.Exit(LIMIT_BROKEN)
+
+
+def _drive_speed(robot: Robot, given: float | dict[str, float] | None, of_controller: Vector | None) -> Vector:
+    """Return the limits of `--speed`; drives that it does not name keep the controller's."""
+    if isinstance(given, dict) and of_controller is not None:
+        known = zip(robot.actuated_joints, of_controller.tolist(), strict=True)
+        given = {name: value for name, value in known if math.isfinite(value)} | given
+    return drive_values(robot, "speed", given)
 
 
 def _placement(text: str) -> tuple[int, Matrix]:

@@ -145,6 +145,18 @@ def test_command_writes_points_report_and_placement(run: Callable[..., Any], tmp
     assert wrong.returncode == 2
 
 
+def test_drives_that_are_not_named_keep_the_limits_of_the_controller(run: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "pocket.ngc").write_text(POCKET)
+    (tmp_path / "machine.ini").write_text(INI.replace("MAX_VELOCITY = 40\n", "MAX_VELOCITY = 1\n"))
+    words = "pocket.ngc --robot hexapod --workpiece 0,0,0.134 --controller machine.ini --out points.csv --speed "
+    result = run("path", *words.split(), f"{pm.load('hexapod').actuated_joints[0]}=0.002", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    table = np.genfromtxt(tmp_path / "points.csv", delimiter=",", names=True, dtype=None, encoding=None)
+    speeds = np.abs([table[f"u{k}_speed_m_s"] for k in range(1, 7)]).max(axis=1)
+    assert 0.001 < speeds[0] <= 0.002 * (1.0 + 1e-9)
+    assert speeds[1:].max() == pytest.approx(0.001, rel=1e-6)
+
+
 def test_report_escapes_names(tmp_path: Path) -> None:
     robot, file = pm.load("pm3dof"), tmp_path / "path.csv"
     file.write_text("theta_x_deg,theta_y_deg,z_e_m\n0,0,.48\n5,0,.48\n")
