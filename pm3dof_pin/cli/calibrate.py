@@ -115,7 +115,6 @@ def calibrate(
 
 
 def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as_json: bool) -> None:
-
     found = calibrate_printer(file, bed_mesh=bed_mesh, on_refusal="keep" if force else "raise")
     folder = found.save(out)
     summary = found.summary()
@@ -159,7 +158,6 @@ def _warnings_as_messages() -> Iterator[None]:
 
 
 def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
-
     found = calibration.identification
     known, named = found.identifiability, []
     if len(found.nuisances):

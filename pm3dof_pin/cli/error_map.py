@@ -206,7 +206,6 @@ def _summary(mapped: ErrorMap) -> dict[str, Any]:
 
 
 def _allocation(mapped: ErrorMap, target: float, coverage: float | None) -> dict[str, Any]:
-
     def tolerances(rule: Rule, *, compensated: bool = False) -> dict[str, float]:
         return allocate_tolerances(mapped, target, rule, compensated=compensated, coverage=coverage).tolerances
 
@@ -225,7 +224,6 @@ def _plain(share: ParameterShare) -> dict[str, Any]:
 
 
 def _write_ranking(ranking: list[ParameterShare], path: Path) -> Path:
-
     rows = [["parameter", "class", "tip_rms_m", "share", "uncompensable_share"]]
     for share in ranking:
         numbers = (share.tip_rms, share.share, share.uncompensable_share)

@@ -104,7 +104,6 @@ def error_parameters(
 def _write_preset(
     which: RobotOptions, name: PresetName, process: ProcessName | None, out: Path | None, *, as_json: bool
 ) -> None:
-
     if out is None:
         raise typer.BadParameter("--preset needs --out: the error file to write")
     robot = which.load()

@@ -65,7 +65,6 @@ def export(
 
 
 def _export_description(which: MachineOptions, format_name: str, folder: Path, *, meshes: bool) -> list[Path]:
-
     try:
         return export_robot(which.path, format_name, folder, meshes=meshes, **which.reading)
     except DescriptionError as error:
@@ -77,7 +76,6 @@ def _export_description(which: MachineOptions, format_name: str, folder: Path, *
 def _export_controller(
     robot: Robot, name: Any, folder: Path, calibration: Path | None, options: dict[str, Any]
 ) -> list[Path]:
-
     if calibration is not None:
         known = read_compensation(calibration)
         require_calibration_of(robot, known.errors.robot, calibration)

@@ -247,7 +247,7 @@ def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool
     """List the assemblies near the described home, and write as home the chosen one, or the only one within limits."""
     homes = assembled_homes(robot)
     if not robot.actuated_indices.size:
-        message(f"pm3dof: {robot.name} has no drives: assemblies are told apart by the loops alone without --drives")
+        message(f"pm3dof: {robot.name} has no drives (--drives): assemblies are told apart by the loops alone")
     joints = list(zip(robot.model.names, robot.model.joints, strict=True))[1:]
     names = [name for name, joint in joints if joint.nv == 1]
     entries = [

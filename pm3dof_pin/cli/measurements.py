@@ -108,7 +108,6 @@ def measurements(
 
 
 def _check(file: Path, robot: Robot, columns: Any, *, own_frame: bool, as_json: bool) -> None:
-
     found = {"robot": robot.name} | FileCheck.read(file, robot, own_frame=own_frame, columns=columns).as_data()
     separators = {",": "commas", ";": "semicolons", "\t": "tabs", "blanks": "blanks"}
     between = separators.get(found["separator"], repr(found["separator"]))

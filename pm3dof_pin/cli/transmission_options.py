@@ -115,7 +115,6 @@ class TransmissionOptions:
         return self._of(poses.robot, poses)
 
     def _of(self, robot: Robot, values: Poses | Grid) -> Transmission:
-
         limits: Any = limits_of_drives(robot, effort=self.effort, speed=self.speed, armature=self.armature)
         limits["payloads"] = payloads_of(robot, self.payload)
         return transmission(robot, values, on_failure="nan" if values.shape else "raise", **limits)

@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from pm3dof_pin.cli import completion
-from pm3dof_pin.cli.drive_options import limits_of_drives
+from pm3dof_pin.cli.drive_options import NUMBER_OF_DRIVES, limits_of_drives
 from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
 from pm3dof_pin.cli.poses import place, solve_pose
@@ -58,7 +58,9 @@ _OF_MOTION: dict[EllipsoidKind, MotionQuantity] = {"velocity": "velocity", "forc
 
 LimitOption: TypeAlias = Annotated[
     str | None,
-    typer.Option(metavar="N|JOINT=N,..", help="Show what drives of these limits can exert, or how fast they can move."),
+    typer.Option(
+        metavar=NUMBER_OF_DRIVES, help="Show what drives of these limits can exert, or how fast they can move."
+    ),
 ]
 
 

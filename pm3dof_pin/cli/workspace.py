@@ -136,7 +136,6 @@ def _robot_space(
     beyond_ranges: bool,
     all_branches: bool,
 ) -> LimitSpace:
-
     fixed, chosen = robot_grid(loaded, [], values or ()).fixed, tuple(names) if names else None
     try:
         return robot_space(loaded, chosen, fixed, declared_ranges=not beyond_ranges, all_branches=all_branches)

@@ -56,7 +56,7 @@ def singularity_measures(
     has_any = np.array(ranks) > 0
 
     def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
-        values, sound = _in_blocks(robot, q, ranks, threads, _measured)
+        values, sound = _in_blocks(robot, q, ranks, threads, _measured, len(ranks))
         return values[:, has_any], sound
 
     return evaluate_at(
@@ -80,8 +80,7 @@ def least_singularity_measures(
     ranks = _ranks(generic)
 
     def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
-        values, sound = _in_blocks(robot, q, ranks, threads, _least_measured)
-        return values[:, :1], sound
+        return _in_blocks(robot, q, ranks, threads, _least_measured, 1)
 
     def reference(q: Vector) -> float:
         found = singularity_distances(robot.configuration(q), generic=generic)
@@ -102,10 +101,11 @@ def _in_blocks(
     ranks: list[int],
     threads: int | None,
     measured: Callable[[Robot, Array, Array, list[int]], tuple[Array, Mask]],
+    count: int,
 ) -> tuple[Array, Mask]:
-    """Return what is measured of the scaled Jacobians of closures and tool, shape=(n, 4), and a mask of sound poses."""
+    """Return what is measured of the Jacobians of closures and tool, shape=(n, count), and a mask of sound poses."""
     compiled = _compiled(robot)
-    values, sound = np.zeros((len(q), 4)), np.zeros(len(q), dtype=bool)
+    values, sound = np.zeros((len(q), count)), np.zeros(len(q), dtype=bool)
     own = geometry.values(robot, compiled.program.parameters)
     for first in range(0, len(q), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
@@ -128,14 +128,14 @@ def _measured(robot: Robot, rows: Array, tool: Array, ranks: list[int]) -> tuple
 
 
 def _least_measured(robot: Robot, rows: Array, tool: Array, ranks: list[int]) -> tuple[Array, Mask]:
-    """Return the least measure in all columns, shape=(n, 4), and a mask of sound ones.
+    """Return the least measure, shape=(n, 1), and a mask of sound ones.
 
     What drives and tool see together is at least as large as what one of them sees of as many motions. The closures'
     eigenvalues are beyond a number if their squares less that number have a Cholesky factor.
     """
-    values, sound = np.zeros((len(rows), 4)), np.zeros(len(rows), dtype=bool)
+    values, sound = np.zeros((len(rows), 1)), np.zeros(len(rows), dtype=bool)
     if rows.shape[1] == ranks[0] > 0 and 0 < ranks[3] in ranks[1:3]:
-        gram, limit = rows @ np.swapaxes(rows, 1, 2), max(_LEAST_SQUARE, robot.rank_tolerance**2)
+        gram, limit = rows @ np.swapaxes(rows, 1, 2), _least_square(robot)
         greatest = np.abs(gram).sum(axis=2).max(axis=1)  # at least the greatest eigenvalue
         with suppress(np.linalg.LinAlgError):
             felt, count = _felt(robot, rows, tool, gram), len(robot.actuated_indices)
@@ -148,12 +148,12 @@ def _least_measured(robot: Robot, rows: Array, tool: Array, ranks: list[int]) ->
             except np.linalg.LinAlgError:  # somewhere the closures are nearer to losing rank than drives and tool
                 squares = np.linalg.eigvalsh(gram)
                 least, floor, greatest = np.minimum(least, squares[:, 0]), squares[:, 0], squares[:, -1]
-            values[:] = np.sqrt(np.maximum(least, 0.0))[:, None]
+            values[:, 0] = np.sqrt(np.maximum(least, 0.0))
             sound = (floor >= limit * greatest) & (_ROUNDING * greatest <= _ACCURATE * least * floor)
     left = np.flatnonzero(~sound)
     if left.size:
         every, sound[left] = _measured(robot, rows[left], tool[left], ranks)
-        values[left] = np.where(np.array(ranks) > 0, every, np.inf).min(axis=1)[:, None]
+        values[left, 0] = np.where(np.array(ranks) > 0, every, np.inf).min(axis=1)
     return values, sound
 
 
@@ -178,7 +178,7 @@ def _by_squares(robot: Robot, rows: Array, tool: Array, ranks: list[int]) -> tup
     gram = rows @ np.swapaxes(rows, 1, 2)
     squares = np.linalg.eigvalsh(gram)
     greatest = squares[:, -1]
-    known = np.flatnonzero(squares[:, 0] > max(_LEAST_SQUARE, robot.rank_tolerance**2) * greatest)
+    known = np.flatnonzero(squares[:, 0] > _least_square(robot) * greatest)
     rows, tool, squares, greatest = rows[known], tool[known], squares[known], greatest[known]
     felt, count = _felt(robot, rows, tool, gram[known]), len(robot.actuated_indices)
     parts = (felt[:, :count, :count], felt[:, count:, count:], felt)
@@ -188,6 +188,10 @@ def _by_squares(robot: Robot, rows: Array, tool: Array, ranks: list[int]) -> tup
     wanted = np.where(np.array(ranks) > 0, least, np.inf).min(axis=1)
     values[known], sound[known] = np.sqrt(least), rounding <= _ACCURATE * wanted
     return values, sound
+
+
+def _least_square(robot: Robot) -> float:
+    return max(_LEAST_SQUARE, robot.rank_tolerance**2)
 
 
 def _felt(robot: Robot, rows: Array, tool: Array, gram: Array) -> Array:

@@ -126,7 +126,7 @@ def test_commands_import_at_the_top_of_their_modules() -> None:
     machine of `--config`), and for completion, which runs at every press of Tab.
     """
     drawing = ("pm3dof_pin.figures.", "pm3dof_pin.paths.report", "matplotlib", "rich.")
-    slow = (*drawing, "pm3dof_pin.maps.", "pm3dof_pin.export.description")
+    slow = (*drawing, "pm3dof_pin.maps.quantities", "pm3dof_pin.export.description")
     for module in MODULES:
         if _room(module) == "cli" and not module.endswith((".completion", ".stiffness_map")):
             top = set(_parsed(module).body)
