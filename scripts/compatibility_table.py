@@ -1,14 +1,18 @@
-"""Write the table of what each dialect says of closures and couplings, by converting a robot and reading it back.
+"""Write the tables of what each dialect says, by converting robots and reading them back.
 
-    python scripts/compatibility_table.py > docs/tables/compatibility.txt
+    python scripts/compatibility_table.py closures > docs/tables/compatibility.txt
+    python scripts/compatibility_table.py robots > docs/tables/robots_in_dialects.txt
 
-The robot is a chain of nine joints, closed on its base by one closure of each type.
+The first is of a chain of nine joints, closed on its base by one closure of each type; the second of the robots here.
 """
 
 from __future__ import annotations
 
 import logging
+import shutil
+import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,9 +23,12 @@ import yaml
 
 from pm3dof_pin.description.closure_types import CLOSURE_TYPES
 from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.description.robots import robot_names
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.convert import convert_robot
+from pm3dof_pin.kinematics.mobility import instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import SAME
 
 DIALECTS = {"urdf": "URDF and closures file", "mjcf": "MJCF", "sdf": "SDFormat", "drake": "URDF for Drake"}
 
@@ -91,8 +98,8 @@ def write_chain(folder: Path, kind: str, couplings: tuple[Mapping[str, Any], ...
     return path
 
 
-def table() -> str:
-    """Return the table as Markdown."""
+def closures_table() -> str:
+    """Return the table of closure types and couplings as Markdown."""
     lines = [f"| | {' | '.join(DIALECTS.values())} |", "|---" * (len(DIALECTS) + 1) + "|"]
     with tempfile.TemporaryDirectory() as folder:
         for kind in CLOSURE_TYPES:
@@ -105,30 +112,70 @@ def table() -> str:
 
 
 def _closure_cell(folder: Path, kind: str, dialect: str) -> str:
-    if (again := _converted(write_chain(folder, kind), dialect)) is None:
+    """Return what the file alone says of a closure; with what is beside it, the closure must be what it was."""
+    done = _converted(write_chain(folder, kind), dialect)
+    if done is None:
         return "refused"
-    types = [loop.type for loop in again.closures]
-    if types == [kind] or not types:
-        return "yes" if types else "written, not read back"
-    added = again.model.njoints - 10
+    whole, alone = done
+    if [loop.type for loop in whole.closures] != [kind]:
+        return "not read back"
+    types = [loop.type for loop in alone.closures]
+    if types == [kind]:
+        return "yes"
+    added = alone.model.njoints - whole.model.njoints
     return f"as {', '.join(types)}" + (f" + {added} joint{'s' if added > 1 else ''}" if added > 0 else "")
 
 
 def _coupling_cell(folder: Path, coupling: Mapping[str, Any], dialect: str) -> str:
-    if (again := _converted(write_chain(folder, "3d", (coupling,)), dialect)) is None:
+    if (done := _converted(write_chain(folder, "3d", (coupling,)), dialect)) is None:
         return "refused"
-    return "yes" if again.couplings else "written, not read back"
+    return "yes" if done[1].couplings else "beside"
 
 
-def _converted(path: Path, dialect: str) -> Robot | None:
-    target = path.parent / f"{dialect}{_SUFFIXES[dialect]}"
-    for file in path.parent.glob(f"{dialect}.*"):
-        file.unlink()
+def robots_table() -> str:
+    """Return the table of the robots here in every dialect, as Markdown."""
+    lines = [f"| | loops, mobility | {' | '.join(DIALECTS.values())} |", "|---" * (len(DIALECTS) + 2) + "|"]
+    machines = Path(__file__).parents[1] / "tests" / "machines"
+    for name in (*robot_names(), *(str(path) for path in sorted(machines.iterdir()) if path.is_dir())):
+        robot = Robot.load(name)
+        kinds = Counter(loop.type for loop in robot.closures)
+        loops = ", ".join(f"{count} {kind}" for kind, count in kinds.items()) or "none"
+        cells = [f"{loops}; {instantaneous_mobility(robot.home).count}"]
+        with tempfile.TemporaryDirectory() as folder:
+            cells += [_robot_cell(robot, name, Path(folder) / f"as_{dialect}", dialect) for dialect in DIALECTS]
+        lines.append(f"| {Path(name).name} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _robot_cell(robot: Robot, name: str, folder: Path, dialect: str) -> str:
+    """Return what is lost of a robot, or that it comes back whole."""
+    target = folder / f"robot{_SUFFIXES[dialect]}"
+    try:
+        losses = convert_robot(name, target, dialect=dialect).losses
+        again = Robot.load(target)
+    except DescriptionError as error:
+        return f"refused: {error.expected}"
+    if again.home.closure_residual > SAME:
+        return f"does not close: {again.home.closure_residual:.1g}"
+    if instantaneous_mobility(again.home).count != instantaneous_mobility(robot.home).count:
+        return "another mobility"
+    return "; ".join(losses) or "whole"
+
+
+def _converted(path: Path, dialect: str) -> tuple[Robot, Robot] | None:
+    """Return a robot as its converted file says it with what is beside it, and alone; None if it is refused."""
+    target = path.parent / f"as_{dialect}" / f"robot{_SUFFIXES[dialect]}"
+    shutil.rmtree(target.parent, ignore_errors=True)
     try:
         convert_robot(path, target, dialect=dialect)
-        return Robot.load(target, lenient=True)
     except DescriptionError:
         return None
+    whole = Robot.load(target, lenient=True)
+    if dialect == "urdf":
+        return whole, whole
+    for beside in target.parent.glob("*.closures.yaml"):
+        beside.unlink()
+    return whole, Robot.load(target, lenient=True)
 
 
 def _text(numbers: Iterable[float]) -> str:
@@ -137,4 +184,4 @@ def _text(numbers: Iterable[float]) -> str:
 
 if __name__ == "__main__":
     logging.disable(logging.WARNING)
-    print(table(), end="")
+    print({"closures": closures_table, "robots": robots_table}[sys.argv[1]](), end="")

@@ -17,7 +17,7 @@ from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, 
 from pm3dof_pin.description.couplings import MAX_DEGREE, Coupling
 from pm3dof_pin.description.origin import NOWHERE, Origin
 from pm3dof_pin.description.physical_bounds import LENGTH
-from pm3dof_pin.description.schema import Length, Name, PositiveLength, Schema, checked
+from pm3dof_pin.description.schema import Length, Name, NotNegative, Positive, PositiveLength, Schema, checked
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.typing import Matrix
@@ -137,6 +137,34 @@ class ClosuresFile:
     #: components of the tool's twist that make up its motion; empty for all
     tool_motions: tuple[ToolComponent, ...] = ()
     closure_tolerance: float | None = None  #: largest closure error of closed loops [m, rad]; None for the usual one
+    replaces_loops: bool = False  #: whether the closures stand in place of those that the tree's file has
+    #: numbers of joints that replace those of the tree's file, by joint and name of :class:`JointSchema`
+    joints: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    #: numbers of drives that replace those of the tree's file, by joint and name of :class:`DriveSchema`
+    drives: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+class JointSchema(Schema):
+    """Numbers of a joint for which the dialect of the tree has no words [N, N m, m/s, rad/s, ...]."""
+
+    effort: Positive | None = None
+    velocity: Positive | None = None
+    damping: NotNegative | None = None
+    friction: NotNegative | None = None
+    armature: NotNegative | None = None
+
+
+class DriveSchema(Schema):
+    """Numbers of a drive for which the dialect of the tree has no words, as in :class:`Drive`, in m, N, rad."""
+
+    gear: Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)] | None = None
+    rotor_inertia: NotNegative | None = None
+    kind: Name | None = None
+    proportional_gain: NotNegative | None = None
+    derivative_gain: NotNegative | None = None
+    control_range: tuple[float, float] | None = None
+    control_gain: float | None = None
+    force_range: tuple[float, float] | None = None
 
 
 class SwingLimitSchema(Schema):
@@ -192,6 +220,9 @@ class ClosuresSchema(Schema):
     limit_groups: dict[Name, list[Name | int]] | None = None
     tool_motions: Annotated[list[ToolComponent], msgspec.Meta(min_length=1)] | None = None
     closure_tolerance: Annotated[float, msgspec.Meta(gt=0.0, le=1e-2)] | None = None
+    replaces_loops: bool = False
+    joints: dict[Name, JointSchema] | None = None
+    drives: dict[Name, DriveSchema] | None = None
 
 
 def read_closures(path: Path | str) -> ClosuresFile:
@@ -223,7 +254,14 @@ def read_closures(path: Path | str) -> ClosuresFile:
             _limit_group(path, name, members, closures) for name, members in (file.limit_groups or {}).items()
         ),
         tool_motions=tuple(file.tool_motions or ()),
+        replaces_loops=file.replaces_loops,
+        joints={name: _given(entry) for name, entry in (file.joints or {}).items()},
+        drives={name: _given(entry) for name, entry in (file.drives or {}).items()},
     )
+
+
+def _given(entry: Schema) -> Mapping[str, Any]:
+    return {name: value for name, value in msgspec.structs.asdict(entry).items() if value is not None}
 
 
 def _closures(path: Path, file: ClosuresSchema) -> tuple[LoopClosure, ...]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from pm3dof_pin.description.closures import ClosuresFile, read_closures
-from pm3dof_pin.description.description import Body, Description, Frame, Joint, universal_hinges
+from pm3dof_pin.description.description import Body, Description, Drive, Frame, Joint, universal_hinges
 from pm3dof_pin.description.origin import Origin
 from pm3dof_pin.description.physical_bounds import ANY, parse_numbers
 from pm3dof_pin.description.readers import loop_closures
@@ -71,7 +71,10 @@ READERS: Mapping[str, Callable[[RobotFiles, bool], Description]] = MappingProxyT
 
 def _completed(description: Description, file: ClosuresFile) -> Description:
     """Return a description with the entries of a closures file."""
-    description = _with_joint_types(description, file)
+    description = _with_numbers(_with_joint_types(description, file), file)
+    if file.replaces_loops and description.closures:
+        _logger.info("%s: its loops stand in place of those of %s", file.path, description.origin.path)
+        description = replace(description, closures=())
     taken = (
         *("motion_coordinates", "coordinates", "limit_groups", "tool_motions", "tool_frame", "actuated_joints"),
         "closure_tolerance",
@@ -88,10 +91,30 @@ def _completed(description: Description, file: ClosuresFile) -> Description:
     )
 
 
+def _with_numbers(description: Description, file: ClosuresFile) -> Description:
+    """Return a description with the file's numbers of joints, and of the first drive of joints."""
+    joints = {}
+    for name, numbers in file.joints.items():
+        if not (joint := description.joint(name, f"{file.path}: joints")).is_single:
+            raise Origin(file.path).error(f"joints.{name}", f"expected a single-DoF joint, not a {joint.type} one")
+        joints[name] = replace(joint, **numbers)
+    drives = list(description.drives)
+    for name, numbers in file.drives.items():
+        description.joint(name, f"{file.path}: drives")
+        index = next((k for k, drive in enumerate(drives) if drive.joint == name), len(drives))
+        if index == len(drives):
+            drives.append(Drive(name, name))
+        if numbers.get("gear") == 0.0:
+            raise Origin(file.path).error(f"drives.{name}.gear", "expected a ratio that is not 0")
+        drives[index] = replace(drives[index], **numbers)
+    return replace(description.with_joints(joints), drives=tuple(drives))
+
+
 def _with_joint_types(description: Description, file: ClosuresFile) -> Description:
     """Return a description with joints replaced as the loader of example-parallel-robots does it.
 
-    The new joints have the frames of the old ones, and no limits. A universal joint becomes two joints, `name_X` and
+    The new joints have the frames of the old ones, no limits, and no place in named configurations. A universal joint
+    becomes two joints, `name_X` and
     `name_Y` for UJOINT_XY (or any two of the axes); the frame `name` moves with the second.
     """
     bodies, frames = list(description.bodies), list(description.frames)
@@ -112,7 +135,17 @@ def _with_joint_types(description: Description, file: ClosuresFile) -> Descripti
             joints.append(replace(joint, type="spherical", lower=None, upper=None, effort=None, velocity=None))
         else:
             joints.append(replace(joint, type="fixed") if kind else joint)
-    return replace(description, bodies=tuple(bodies), joints=tuple(joints), frames=tuple(frames))
+    configurations = {
+        name: {joint: numbers for joint, numbers in values.items() if joint not in file.joint_types}
+        for name, values in description.configurations.items()
+    }
+    return replace(
+        description,
+        bodies=tuple(bodies),
+        joints=tuple(joints),
+        frames=tuple(frames),
+        configurations=configurations,
+    )
 
 
 def _universal_axes(kind: str) -> str:

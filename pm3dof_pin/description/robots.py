@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ from pm3dof_pin.description.own_files import package_of
 from pm3dof_pin.description.xml_file import Element, parse_xml, read_root_tag, read_xml
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, UnknownRobotError
 from pm3dof_pin.files import read_text
+
+_logger = logging.getLogger(__name__)
 
 DESCRIPTION_SUFFIX = "_description"
 CLOSURES_SUFFIX = ".closures.yaml"
@@ -109,8 +112,10 @@ def find_robot(
               (`cassie_mj_description`) where these are installed;
             - a URDF `x.urdf`. Its closures file `x.closures.yaml` or `robot.yaml` may be next to it or in `../urdf`,
               its SRDF `x.srdf` next to it or in `../srdf`; without a closures file it is a serial robot;
+              they may also be called `x.urdf.closures.yaml` and `x.urdf.srdf`;
             - a xacro file that expands to one of these;
-            - an MJCF file, or an SDF file with one model;
+            - an MJCF file, or an SDF file with one model; `x.xml.closures.yaml`, and `x.closures.yaml` if there is no
+              `x.urdf` that it belongs to, may add to it;
             - a closures file, `x.closures.yaml` or `robot.yaml`, with its URDF next to it;
             - a folder with one of these: `robot.yaml` with `robot.urdf`, or the folder of a ROS package with `urdf/`.
         package_paths: folders of ROS packages, searched before ROS_PACKAGE_PATH and the folders above the file.
@@ -131,13 +136,20 @@ def find_robot(
     elif xacro_args:
         raise DescriptionError(tree, "file", f"is not a xacro file, so it has no argument {next(iter(xacro_args))}")
     form = _format_of(tree, expansion)
+    own = tree if expansion is None else None
     if closures is None:
-        closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *(_CLOSURES_FALLBACKS if form == "urdf" else ()))
+        fallbacks = _CLOSURES_FALLBACKS if form == "urdf" else ()
+        closures = _beside(tree, "urdf", tree.name + CLOSURES_SUFFIX) or _beside(
+            tree, "urdf", name + CLOSURES_SUFFIX, *fallbacks, own=own
+        )
+    srdf = _beside(tree, "srdf", f"{tree.name}.srdf") or _beside(
+        tree, "srdf", f"{name}.srdf", own=own if form != "urdf" else None
+    )
     return RobotFiles(
         name=name,
         path=tree,
         closures=closures,
-        srdf=_beside(tree, "srdf", f"{name}.srdf"),
+        srdf=srdf,
         format=form,
         package_paths=(*packages, *tree.resolve().parents),
         own_folders=(package_of(tree), *packages),
@@ -211,6 +223,8 @@ def _tree_and_closures(path: Path) -> tuple[Path, Path | None]:
         return path, None
     if path.name.endswith(CLOSURES_SUFFIX):
         name = path.name.removesuffix(CLOSURES_SUFFIX)
+        if (tree := path.with_name(name)).suffix and tree.is_file():
+            return tree, path
         trees = [path.with_name(f"{name}.urdf"), path.with_name(f"{name}.xml"), path.with_name(f"{name}.sdf")]
     else:
         trees = [path.with_suffix(".urdf"), *sorted(path.parent.glob("*.urdf"))]
@@ -227,10 +241,20 @@ def _only(trees: Sequence[Path], folder: Path) -> Path:
     return trees[0]
 
 
-def _beside(tree: Path, folder: str, *names: str) -> Path | None:
-    """Find a file next to the tree, or in a folder next to the tree's folder."""
-    candidates = [place / name for name in names for place in (tree.parent, tree.parent.parent / folder)]
-    return next((path for path in candidates if os.path.lexists(path)), None)  # an unreadable one is an error
+def _beside(tree: Path, folder: str, *names: str, own: Path | None = None) -> Path | None:
+    """Find a file next to the tree, or in a folder next to the tree's folder.
+
+    With `own`, the tree, not a file that belongs to a URDF of its name, next to it or in that package: the MJCF or the
+    URDF for Drake next to it has loops and coordinates of its own.
+    """
+    for path in (place / name for name in names for place in (tree.parent, tree.parent.parent / folder)):
+        if os.path.lexists(path):  # an unreadable one is an error
+            urdf = f"{path.name.partition('.')[0]}.urdf"
+            others = (path.parent / urdf, path.parent.parent / "urdf" / urdf)
+            if own is None or not any(other.is_file() and not other.samefile(own) for other in others):
+                return path
+            _logger.info("%s: %s belongs to %s, and is not read", tree, path, urdf)
+    return None
 
 
 def _format_of(tree: Path, expansion: str | None) -> Format:

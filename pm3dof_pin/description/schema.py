@@ -22,6 +22,7 @@ T = TypeVar("T")
 
 Name = Annotated[str, msgspec.Meta(min_length=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Stiffness = Annotated[float, msgspec.Meta(ge=STIFFNESS.least, le=STIFFNESS.greatest)]
 Length = Annotated[float, msgspec.Meta(ge=-LENGTH.greatest, le=LENGTH.greatest)]
 PositiveLength = Annotated[float, msgspec.Meta(gt=0.0, le=LENGTH.greatest)]

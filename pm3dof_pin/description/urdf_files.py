@@ -11,7 +11,8 @@ import msgspec
 import numpy as np
 import yaml
 
-from pm3dof_pin.description.description import Body, Description, Inertial, Joint, Placement, Shape
+from pm3dof_pin.description.closures import DriveSchema
+from pm3dof_pin.description.description import Body, Description, Drive, Inertial, Joint, Placement, Shape
 from pm3dof_pin.description.mesh_files import find_mesh
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX, RobotFiles
 from pm3dof_pin.description.simple_joints import NEGLIGIBLE, with_frames_as_bodies, with_simple_joints
@@ -172,7 +173,7 @@ def closure_entries(description: Description) -> dict[str, Any]:
     content: dict[str, Any] = {
         "closed_loop": [[loop.frame_a, loop.frame_b] for loop in loops],
         "type": [loop.type for loop in loops],
-        "closure_axes": [_plain(entry) or None for entry in axes] if any(axes) else [],
+        "closure_axes": [plain(entry) or None for entry in axes] if any(axes) else [],
         "closure_lengths": lengths if any(lengths) else [],
         "couplings": [
             {
@@ -194,9 +195,18 @@ def closure_entries(description: Description) -> dict[str, Any]:
             for group in description.limit_groups
             if set(group.joints) <= known
         },
-        "springs": [_plain(spring) for spring in description.springs],
+        "springs": [plain(spring) for spring in description.springs],
+        "joints": {joint.name: {"armature": joint.armature} for joint in description.joints if joint.armature},
+        "drives": {drive.joint: said for drive in description.drives if (said := _drive(drive))},
     }
     return {key: value for key, value in content.items() if value}
+
+
+def _drive(drive: Drive) -> dict[str, Any]:
+    """Return the numbers of a drive that are not the usual ones."""
+    usual = Drive(drive.name, drive.joint)
+    numbers = {key: plain(getattr(drive, key)) for key in DriveSchema.__struct_fields__}
+    return {key: value for key, value in numbers.items() if value != getattr(usual, key)}
 
 
 def _coordinate(entries: dict[str, Any]) -> dict[str, Any]:
@@ -209,10 +219,11 @@ def _without_none(entries: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in entries.items() if value is not None}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return a value as lists, mappings and numbers that YAML can write."""
     if hasattr(value, "items"):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return [_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
+        return {key: plain(entry) for key, entry in value.items()}
+    return [plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
 def _text(numbers: Iterable[float]) -> str:

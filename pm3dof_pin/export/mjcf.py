@@ -293,6 +293,8 @@ def _joint(joint: Joint, rotor: float) -> dict[str, str]:
     attributes = {"name": joint.name, "type": kind, "axis": numbers_text(unit_axis(joint))}
     if joint.lower is not None and joint.upper is not None:
         attributes["range"] = numbers_text([joint.lower, joint.upper])
+    if joint.effort:
+        attributes["actuatorfrcrange"] = numbers_text([-joint.effort, joint.effort])
     if joint.damping:
         attributes["damping"] = number_text(joint.damping)
     if joint.friction:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -22,7 +23,7 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from compatibility_table import table, write_chain
+from compatibility_table import closures_table, robots_table, write_chain
 
 _SAYS = {
     "mjcf": {"3d", "6d", "hinge", "distance"},
@@ -222,8 +223,9 @@ def test_names_that_yaml_would_misread_are_quoted(tmp_path: Path) -> None:
         path.write_text(text)
 
 
-def test_the_table_of_the_documentation_is_up_to_date() -> None:
-    assert (Path(__file__).parents[2] / "docs" / "tables" / "compatibility.txt").read_text(encoding="utf-8") == table()
+@pytest.mark.parametrize(("name", "table"), [("compatibility", closures_table), ("robots_in_dialects", robots_table)])
+def test_the_tables_of_the_documentation_are_up_to_date(name: str, table: Callable[[], str]) -> None:
+    assert (Path(__file__).parents[2] / "docs" / "tables" / f"{name}.txt").read_text(encoding="utf-8") == table()
 
 
 def test_mujoco_says_distances_and_sums_so_that_they_are_read_back(tmp_path: Path) -> None:

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 import pm3dof_pin as pm
-from pm3dof_pin.description.robots import robot_names
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.description.description import Drive
+from pm3dof_pin.description.robots import robot_names, robots_directory
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, PM3DofError
 from pm3dof_pin.export.convert import convert_robot
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -33,23 +35,27 @@ def test_another_dialect_describes_the_same_mechanism(tmp_path: Path, name: str,
     assert again.actuated_joints == robot.actuated_joints
     assert [c.name for c in again.coordinates] == [c.name for c in robot.coordinates]
     assert again.tool_frame == robot.tool_frame
-    assert len(again.springs) == len(robot.springs) or [c.type for c in again.closures] != [
-        c.type for c in robot.closures
+    assert done.losses == ()
+    assert len(again.springs) == len(robot.springs)
+    assert [(loop.type, loop.swing_limit) for loop in again.closures] == [
+        (loop.type, loop.swing_limit) for loop in robot.closures
     ]
+    groups = [{group.name: group.closures for group in which.limit_groups} for which in (robot, again)]
+    assert groups[0] == groups[1]
+    drives = {drive.joint: drive for drive in again.description.drives}
+    for joint in robot.description.joints:
+        other = again.description.joint_by_name.get(joint.name, joint)
+        assert (other.effort or None, other.velocity or None) == (joint.effort or None, joint.velocity or None)
+        assert other.armature == joint.armature
+    for drive in robot.description.drives:
+        other_drive = drives.get(drive.joint, Drive("", drive.joint))
+        assert (other_drive.gear, other_drive.rotor_inertia) == (drive.gear, drive.rotor_inertia)
     home = again.home.tool_placement.homogeneous
     np.testing.assert_allclose(home, robot.home.tool_placement.homogeneous, atol=1e-12)
     np.testing.assert_allclose(again.home.commands, robot.home.commands, atol=1e-12)
-    if robot.springs and "the stiffness at home is another" not in done.losses:
+    if robot.springs:
         both = [pm.compliance(which, which.at([which.home.q])) for which in (robot, again)]
         np.testing.assert_allclose(both[0], both[1], atol=1e-9 * np.abs(both[0]).max())
-
-
-def test_stiffness_is_kept_where_springs_are(tmp_path: Path) -> None:
-    """All but three_rps in MJCF, whose beams carry more than the closures, and in what has other closures."""
-    for name in ("pm3dof", "hexapod", "linear_delta"):
-        for dialect, suffix in _SUFFIX.items():
-            done = convert_robot(name, tmp_path / f"{name}_{dialect}{suffix}", dialect=dialect, meshes=False)
-            assert not [loss for loss in done.losses if "stiffness at home" in loss or "springs" in loss], name
 
 
 @pytest.mark.parametrize("dialect", ["mjcf", "sdf", "drake"])
@@ -66,14 +72,65 @@ def test_there_and_back_again(tmp_path: Path, dialect: str) -> None:
 
 
 def test_losses_are_listed_and_may_be_errors(tmp_path: Path) -> None:
-    done = convert_robot("hexapod", tmp_path / "hexapod.xml")
-    assert "swing limits of closures" in done.losses
-    assert any(loss.startswith("limits in the group strut_tip-B: strut1_tip-B1, strut2") for loss in done.losses)
-    assert any(loss.startswith("velocity of strut1_joint") for loss in done.losses), "MJCF has no greatest speeds"
-    with pytest.raises(DescriptionError, match="swing limits of closures"):
-        convert_robot("hexapod", tmp_path / "strict" / "hexapod.xml", strict=True)
+    source = tmp_path / "leg.xml"
+    source.write_text(NAMESAKES, encoding="utf-8")
+    losses = convert_robot(source, tmp_path / "leg.sdf").losses
+    assert any(loss.startswith("joint hip is called hip_joint") for loss in losses), losses
+    with pytest.raises(DescriptionError, match="joint hip is called"):
+        convert_robot(source, tmp_path / "strict" / "leg.sdf", strict=True)
     assert not (tmp_path / "strict").exists()
     assert convert_robot("hexapod", tmp_path / "hexapod.urdf", strict=True).losses == ()
+
+
+def test_what_a_dialect_has_no_words_for_is_beside_it(tmp_path: Path) -> None:
+    """MJCF has no greatest speeds, and SDFormat no swing limits: without the closures file they are lost."""
+    for suffix in (".xml", ".sdf"):
+        convert_robot("three_rps", tmp_path / f"robot{suffix}", strict=True, meshes=False)
+        (tmp_path / f"robot{suffix}.closures.yaml").unlink()
+    assert pm.load(tmp_path / "robot.xml").description.joint("strut1_joint").velocity is None
+    assert not any(loop.swing_limit for loop in pm.load(tmp_path / "robot.sdf").closures)
+
+
+def test_closures_beside_a_file_add_to_its_own_or_replace_them(tmp_path: Path) -> None:
+    convert_robot("pm3dof", tmp_path / "robot.xml", meshes=False)
+    beside = tmp_path / "robot.xml.closures.yaml"
+    entries = yaml.safe_load(beside.read_text())
+    assert entries["replaces_loops"]
+    assert len(pm.load(tmp_path / "robot.xml").closures) == 3
+    del entries["replaces_loops"]
+    beside.write_text(yaml.safe_dump(entries))
+    assert len(pm.load(tmp_path / "robot.xml").closures) == 6
+
+
+def test_a_closures_file_belongs_to_the_urdf_of_its_name(tmp_path: Path) -> None:
+    """The files that a URDF has beside it say its loops, which the MJCF of the same name already has."""
+    for dialect, suffix in _SUFFIX.items():
+        stem = "robot" if dialect != "drake" else "other"
+        convert_robot("pm3dof", tmp_path / f"{stem}{suffix}", dialect=dialect, meshes=False)
+    for file in ("robot.xml", "robot.sdf", "robot.urdf", "other.urdf"):
+        assert len(pm.load(tmp_path / file).closures) == 3
+    (tmp_path / "robot.xml.closures.yaml").unlink()
+    assert len(pm.load(tmp_path / "robot.xml").closures) == 3
+    for exported in ("mjcf/pm3dof.xml", "sdf/pm3dof.sdf", "drake/pm3dof.urdf"):
+        assert len(pm.load(robots_directory() / "pm3dof_description" / exported).closures) == 3
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"joints": {"nowhere": {"velocity": 1.0}}}, "nowhere"),
+        ({"joints": {"slider1_joint": {"velocity": -1.0}}}, "joints.slider1_joint.velocity"),
+        ({"joints": {"slider1_joint": {"speed": 1.0}}}, "unknown key"),
+        ({"drives": {"slider1_joint": {"gear": 0.0}}}, "drives.slider1_joint.gear"),
+        ({"drives": {"nowhere": {"gear": 2.0}}}, "nowhere"),
+    ],
+)
+def test_numbers_of_joints_and_drives_are_checked(tmp_path: Path, entries: dict[str, Any], message: str) -> None:
+    convert_robot("pm3dof", tmp_path / "robot.xml", meshes=False)
+    beside = tmp_path / "robot.xml.closures.yaml"
+    beside.write_text(yaml.safe_dump(yaml.safe_load(beside.read_text()) | entries))
+    with pytest.raises(PM3DofError, match=message):
+        pm.load(tmp_path / "robot.xml")
 
 
 def test_springs_at_massless_frames_keep_their_places_in_mjcf(tmp_path: Path) -> None:
@@ -113,7 +170,7 @@ def test_armature_and_gains_pass_from_mjcf_to_mjcf(tmp_path: Path) -> None:
 
 
 def test_the_command_lists_what_is_lost(answer: Callable[..., Any], tmp_path: Path) -> None:
-    assert "swing limits of closures" in answer("convert", "three_rps", str(tmp_path / "out.sdf"))["losses"]
+    assert answer("convert", "three_rps", str(tmp_path / "out.sdf"))["losses"] == []
     assert answer("convert", "three_rps", str(tmp_path / "out.urdf"))["losses"] == []
 
 

@@ -1,9 +1,9 @@
 """SDF 1.7 to 1.11 (and earlier, as far as they agree): models whose joints may close loops.
 
-Joints that close a loop are cut, and become loop closures of their type: first balls, then universal joints, then
-hinges and slides, of these the last in the file; fixed joints and joints with a controller are kept if possible. The
-report of what was read over says which were cut. A model without a joint to the world is held at its first link.
-Several models of a world are one robot, with names such as `model::link`.
+Joints that close a loop are cut, and become loop closures of their type: first balls, then universal joints, fixed
+ones, and hinges and slides, of these the last in the file; joints with a controller are kept if possible. The report
+of what was read over says which were cut. A model without a joint to the world is held at its first link. Several
+models of a world are one robot, with names such as `model::link`.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _CLOSURES: dict[str, ClosureTypeName] = {
     "fixed": "6d", "revolute": "hinge", "continuous": "hinge", "prismatic": "prismatic", "ball": "3d",
     "universal": "universal",
 }  # fmt: skip
-_KEPT_FIRST = {"fixed": 0, "screw": 1, "revolute2": 1, "universal": 4, "ball": 5}  # 2 if driven, 3 otherwise
+_KEPT_FIRST = {"screw": 0, "revolute2": 0, "fixed": 3, "universal": 4, "ball": 5}  # 1 if driven, 2 otherwise
 _UNLIMITED = 1e15  # limits at least this large are none
 _LIMIT = Bounds("", math.inf, negative=True)
 _SIZES: dict[str, tuple[ShapeKind, tuple[tuple[str, int], ...]]] = {
@@ -150,13 +150,13 @@ class _SdfReader(ElementReader):
         if not self.bodies:
             raise model.origin.error(named(model), "has no links, expected some")
         tree, cut = self._spanning_tree(edges, {drive.joint for drive in drives})
-        joints = [joint for edge, is_reversed in tree for joint in self._joints(edge, reverse=is_reversed)]
+        joints = [joint for edge, turned in tree for joint in self._on_frame(edge, self._joints(edge, reverse=turned))]
         closure_frames, closures = self._closures(cut, tree)
         couplings = [c for edge in edges for c in self._mimic(edge, {joint.name for joint in joints})]
         frames = [
             Frame(name, self._link_of(name), Placement.from_se3(self._in(self._link_of(name), name)), element.origin)
             for name, element in self.elements.items()
-            if element.tag == "frame"
+            if element.tag == "frame" and name not in self.bodies
         ]
         gravity = next((g for world in worlds if (g := child(world, "gravity")) is not None), None)
         driven = tuple(dict.fromkeys(drive.joint for drive in drives if drive.joint in {j.name for j in joints}))
@@ -465,6 +465,26 @@ class _SdfReader(ElementReader):
             replace(hinge, axis=tuple(sign * x + 0.0 for x in axis)) for hinge, axis in zip(hinges, axes, strict=True)
         ]
 
+    def _on_frame(self, edge: _Edge, joints: list[Joint]) -> list[Joint]:
+        """Return joints of which the first is on the frame that the file names as its parent, if it names one.
+
+        The frame becomes a body, fixed to its link: a spring there moves what the joint carries.
+        """
+        first, given = joints[0], self._text(edge.element, "parent")
+        name = (
+            self._resolved(given, self.scopes[edge.name], edge.element) if given and first.parent == edge.parent else ""
+        )
+        element = self.elements.get(name)
+        if element is None or element.tag != "frame":
+            return joints
+        on_frame = replace(first, parent=name, placement=self._placed(self._placement(name).actInv(edge.placement)))
+        if name in self.bodies:
+            return [on_frame, *joints[1:]]
+        self.bodies[name] = Body(name, origin=element.origin)
+        seat = self._placed(self._in(first.parent, name))
+        fixed = free_name(f"{name}_fixed", self.elements)
+        return [Joint(fixed, "fixed", first.parent, name, seat, origin=element.origin), on_frame, *joints[1:]]
+
     def _limit(self, limit: Element | None, key: str, place: str, default: float) -> float:
         """Return a limit, which may be infinite or the greatest number of C++ if there is none."""
         text = self._text(limit, key).lower().lstrip("+")
@@ -493,7 +513,7 @@ class _SdfReader(ElementReader):
             return name
 
         kept: list[_Edge] = []
-        for edge in sorted(edges, key=lambda e: _KEPT_FIRST.get(e.kind, 2 if e.name in driven else 3)):
+        for edge in sorted(edges, key=lambda e: _KEPT_FIRST.get(e.kind, 1 if e.name in driven else 2)):
             ends = top(edge.parent), top(edge.child)
             if ends[0] != ends[1]:
                 kept.append(edge)
