@@ -30,7 +30,7 @@ def inertia_problem(mass: float, inertia: Matrix) -> str:
     No principal moment about the centre of mass may be negative, or greater than the sum of the other two, by more
     than :data:`TOLERANCE` times the greatest, or mass times the square of a micrometre.
     """
-    least, middle, greatest = (float(moment) for moment in np.linalg.eigvalsh(inertia))
+    least, middle, greatest = _principal(inertia)
     slack = max(TOLERANCE * abs(greatest), mass * _GYRATION**2)
     if least >= -slack and greatest <= least + middle + slack:
         return ""
@@ -40,6 +40,12 @@ def inertia_problem(mass: float, inertia: Matrix) -> str:
 
 def is_reversed(mass: float, inertia: Matrix) -> bool:
     """Return whether an inertia is so far from a possible one that a sign or number must be wrong."""
-    least, _, greatest = np.linalg.eigvalsh(inertia)
+    least, _, greatest = _principal(inertia)
     slack = mass * _GYRATION**2
     return bool(least < -max(_REVERSED * abs(greatest), slack) or (inertia.diagonal() < -slack).any())
+
+
+def _principal(inertia: Matrix) -> list[float]:
+    """Return the principal moments of an inertia, from the least on."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
+    return np.linalg.eigvalsh(inertia).tolist() if xy or xz or yz else sorted((xx, yy, zz))

@@ -93,6 +93,8 @@ def _completed(description: Description, file: ClosuresFile) -> Description:
 
 def _with_numbers(description: Description, file: ClosuresFile) -> Description:
     """Return a description with the file's numbers of joints, and of the first drive of joints."""
+    if not (file.joints or file.drives):
+        return description
     joints = {}
     for name, numbers in file.joints.items():
         if not (joint := description.joint(name, f"{file.path}: joints")).is_single:
@@ -117,6 +119,8 @@ def _with_joint_types(description: Description, file: ClosuresFile) -> Descripti
     becomes two joints, `name_X` and
     `name_Y` for UJOINT_XY (or any two of the axes); the frame `name` moves with the second.
     """
+    if not file.joint_types:
+        return description
     bodies, frames = list(description.bodies), list(description.frames)
     joints: list[Joint] = []
     for name, kind in file.joint_types.items():

@@ -244,13 +244,16 @@ def _only(trees: Sequence[Path], folder: Path) -> Path:
 def _beside(tree: Path, folder: str, *names: str, own: Path | None = None) -> Path | None:
     """Find a file next to the tree, or in a folder next to the tree's folder.
 
-    With `own`, the tree, not a file that belongs to a URDF of its name, next to it or in that package: the MJCF or the
-    URDF for Drake next to it has loops and coordinates of its own.
+    With `own`, the tree, not a file that belongs to a URDF of its name, which stands next to the file or in `urdf` of
+    the same package: the MJCF, SDF or URDF for Drake of that robot has loops and coordinates of its own.
     """
-    for path in (place / name for name in names for place in (tree.parent, tree.parent.parent / folder)):
-        if os.path.lexists(path):  # an unreadable one is an error
+    for place in (tree.parent, tree.parent.parent / folder):
+        for path in (place / name for name in names):
+            if not os.path.lexists(path):  # an unreadable one is an error
+                continue
             urdf = f"{path.name.partition('.')[0]}.urdf"
-            others = (path.parent / urdf, path.parent.parent / "urdf" / urdf)
+            beside = (path.parent, *(() if place == tree.parent else (path.parent.parent / "urdf",)))
+            others = (folder_of / urdf for folder_of in beside)
             if own is None or not any(other.is_file() and not other.samefile(own) for other in others):
                 return path
             _logger.info("%s: %s belongs to %s, and is not read", tree, path, urdf)

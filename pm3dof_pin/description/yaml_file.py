@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, JointNotFoundError
 from pm3dof_pin.files import read_text
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, ten times faster, if available
@@ -53,6 +53,12 @@ def naming_lines() -> Iterator[None]:
         if line is None:
             raise
         raise DescriptionError(error.path, error.element, error.expected, line) from error
+    except (FrameNotFoundError, JointNotFoundError) as error:
+        path, _, element = error.source.partition(": ")
+        line = _line_of(Path(path), element) if Path(path).suffix in (".yaml", ".yml") else None
+        if line is None:
+            raise
+        raise type(error)(error.name, f"{path}, line {line}: {element}", error.known) from error
 
 
 def _line_of(path: Path, element: str) -> int | None:

@@ -19,6 +19,7 @@ from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
 from pm3dof_pin.description.description import Description
 from pm3dof_pin.description.physical_bounds import STIFFNESS
+from pm3dof_pin.description.yaml_file import naming_lines
 from pm3dof_pin.exceptions import (
     ConvergenceError,
     DescriptionError,
@@ -171,7 +172,8 @@ class Robot(PlacedMechanism):
             described["closure_tolerance"] = closure_tolerance
         if drives is not None:
             described |= _driven_by(drives, described)
-        robot = cls(**described, characteristic_length=characteristic_length, engine=engine, threads=threads)
+        with naming_lines():
+            robot = cls(**described, characteristic_length=characteristic_length, engine=engine, threads=threads)
         return robot if drive_stiffness is None else robot.with_drive_stiffness(drive_stiffness)
 
     def with_drive_stiffness(self, stiffness: float | Mapping[str, float]) -> Robot:

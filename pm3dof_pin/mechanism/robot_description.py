@@ -79,7 +79,8 @@ def read_source(
 
 def _arguments_of(description: Description, tool_frame: str | None, hold_base: bool) -> dict[str, Any]:
     """Return a description, with another tool frame if one is given, as the arguments of a mechanism."""
-    description = replace(description, tool_frame=tool_frame or description.tool_frame)
+    if tool_frame:
+        description = replace(description, tool_frame=tool_frame)
     if hold_base:
         for body in description.floating_bodies:
             _logger.warning("%s: its base '%s' floats, and is held as at home", description.name, body)
