@@ -71,9 +71,6 @@ class LoopKinematics(threading.local):
         self.rows = _slices([*(closure.kind.size for closure in closures), *(1 for _ in couplings)])
         """Rows of each closure, then of each coupling."""
         self.row_count: int = self.rows[-1].stop if self.rows else 0
-        self.is_angular = [entry for closure in closures for entry in closure.kind.is_angular]
-        """Which rows are angles, shape=(m,)."""
-        self.is_angular += [not coupled.joint.translates for coupled in couplings]
         own = _slices([constraint.residualSize() for constraint in self._constraints])
         self._own_count: int = own[-1].stop if own else 0
         datas = [constraint_data.extract() for constraint_data in self._constraint_datas]
