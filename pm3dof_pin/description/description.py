@@ -152,7 +152,9 @@ class Inertial:
         """The inertia in Pinocchio, in the axes of the body."""
         rotation = self.placement.rotation
         turned = rotation @ inertia_matrix(self.moments) @ rotation.T
-        return pin.Inertia(self.mass, np.array(self.placement.position), turned)
+        result = pin.Inertia.Zero()  # whose constructor refuses moments that rounding makes negative
+        result.mass, result.lever, result.inertia = self.mass, np.array(self.placement.position), turned
+        return result
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from pm3dof_pin.description.robots import find_robot, robot_names, robots_directory
+from pm3dof_pin.description.robots import example_robot_names, find_robot, robot_names, robots_directory
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
+from pm3dof_pin.kinematics.robot import Robot
 
 
 def test_the_chapters_machine_comes_with_the_package() -> None:
@@ -142,6 +143,18 @@ def test_robots_of_example_robot_data_have_names() -> None:
     pytest.importorskip("example_robot_data")
     robot = find_robot("ur5")
     assert robot.urdf.parts[-3:] == ("ur_description", "urdf", "ur5_robot.urdf")
+
+
+def test_robots_of_example_robot_data_load_or_name_what_is_wrong_in_their_file() -> None:
+    """One hand's fingers follow joints that its file does not have."""
+    pytest.importorskip("example_robot_data")
+    problems: list[DescriptionError] = []
+    for name in example_robot_names():
+        try:
+            Robot.load(name)
+        except DescriptionError as error:
+            problems.append(error)
+    assert [str(problem) for problem in problems if problem.line is None] == []
 
 
 @pytest.mark.parametrize("name", ["pm4dof", "nowhere/arm.urdf", ""])

@@ -188,6 +188,36 @@ def test_characteristic_length_is_a_positive_number(five_bar: Robot, length: flo
         Robot(five_bar.model, five_bar.closures, characteristic_length=length)
 
 
+def test_what_follows_no_joint_is_refused_by_line_and_lenient_reads_over_it(write_robot: Writer) -> None:
+    follower = '<link name="hand"/><joint name="wrist" type="revolute"><parent link="forearm"/><child link="hand"/>\n'
+    text = ARM.replace("</robot>", f'{follower}<mimic joint="elbo"/></joint></robot>')
+    with pytest.raises(
+        DescriptionError, match=r"line 8: <mimic>: joint 'wrist' follows 'elbo', .*there is none.*lenient"
+    ):
+        Robot.load(write_robot(text, "{}\n"))
+    assert Robot.load(write_robot(text, "{}\n"), lenient=True).couplings == ()
+
+
+def test_a_transmission_of_a_fixed_joint_drives_nothing(write_robot: Writer) -> None:
+    """As that of the PR2's casters in example-robot-data."""
+    text = ARM.replace(
+        "</robot>",
+        '<link name="hand"/><joint name="wrist" type="fixed"><parent link="forearm"/><child link="hand"/></joint>'
+        '<transmission name="t"><joint name="wrist"/></transmission></robot>',
+    )
+    robot = Robot.load(write_robot(text, "{}\n"))
+    assert robot.actuated_joints == ("elbow",)
+    assert any("fixed" in str(unread) for unread in robot.description.unread)
+
+
+def test_moments_that_rounding_makes_negative_are_taken(write_robot: Writer) -> None:
+    """A slender rod, as the iCub of example-robot-data has them after a turn; Pinocchio's constructor refuses them."""
+    rod = '<inertial><mass value="1"/><inertia ixx="-1e-20" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    text = ARM.replace('<link name="forearm"/>', f'<link name="forearm">{rod}</link>')
+    robot = Robot.load(write_robot(text, "{}\n"))
+    np.testing.assert_allclose(robot.model.inertias[1].inertia, np.diag([0.0, 0.1, 0.1]), atol=1e-15)
+
+
 def test_a_mimic_joint_follows(write_robot: Writer) -> None:
     fingers = ARM.replace("</robot>", "") + (
         '<link name="finger"/><joint name="finger_joint" type="revolute"><parent link="base"/><child link="finger"/>'

@@ -7,7 +7,7 @@ urdfdom drops a link's whole inertial, or all its shapes, if one of their number
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -111,6 +111,7 @@ class UrdfReader(ElementReader):
         self.root = root
         self.colours: dict[str, tuple[float, ...]] = {}
         self.couplings: list[Coupling] = []
+        self.mimics: list[tuple[Element, Coupling]] = []
         self.extra_bodies: list[Body] = []
         self.impossible: dict[str, str] = {}
 
@@ -126,8 +127,9 @@ class UrdfReader(ElementReader):
                 self.colours[material.get("name", "")] = colour
         bodies = [self._body(element) for element in children(root, "link")]
         joints = [joint for element in children(root, "joint", "drake:joint") for joint in self._joint(element)]
-        names = {joint.name for joint in joints}
-        drives = [drive for element in children(root, "transmission") for drive in self._drives(element, names)]
+        by_name = {joint.name: joint for joint in joints}
+        self._check_mimicked(by_name)
+        drives = [drive for element in children(root, "transmission") for drive in self._drives(element, by_name)]
         description = Description(
             name,
             (*bodies, *self.extra_bodies),
@@ -303,7 +305,17 @@ class UrdfReader(ElementReader):
         other = mimic.get("joint", "")
         if not other or other == joint.name:
             raise mimic.origin.error(f"joint '{joint.name}': mimic", f"expected another joint, not '{other}'")
-        self.couplings.append(Coupling.from_powers(joint.name, other, powers, mimic.origin))
+        self.mimics.append((mimic, Coupling.from_powers(joint.name, other, powers, mimic.origin)))
+
+    def _check_mimicked(self, joints: Mapping[str, Joint]) -> None:
+        """Take the couplings to existing joints of one degree of freedom; refuse the others."""
+        for mimic, coupling in self.mimics:
+            (name,) = coupling.joints
+            if name in joints and joints[name].is_single:
+                self.couplings.append(coupling)
+            else:
+                problem = f"it is {joints[name].type}" if name in joints else "there is none"
+                self.refuse(mimic, f"joint '{coupling.joint}' follows '{name}', expected a single-DoF joint: {problem}")
 
     @staticmethod
     def _end(element: Element, tag: str) -> str:
@@ -332,7 +344,7 @@ class UrdfReader(ElementReader):
             raise axis.origin.error(f"{place}: {tag}", f"expected a direction, not '{axis.get('xyz')}'")
         return xyz
 
-    def _drives(self, element: Element, joints_of_tree: Collection[str]) -> list[Drive]:
+    def _drives(self, element: Element, joints_of_tree: Mapping[str, Joint]) -> list[Drive]:
         joints, actuators = children(element, "joint"), children(element, "actuator")
         if (kind := child(element, "type")) is not None and "Simple" not in (kind.text or "Simple"):
             self.read_over(element, "its joints are taken as driven directly")
@@ -342,6 +354,9 @@ class UrdfReader(ElementReader):
             name = joint.get("name", "")
             if name not in joints_of_tree:
                 self.read_over(element, f"no joint '{name}'")
+                continue
+            if not joints_of_tree[name].is_single:
+                self.read_over(element, f"joint '{name}' is {joints_of_tree[name].type}")
                 continue
             place = f"transmission '{element.get('name', '')}'"
             reduction = child(actuator, "mechanicalReduction")
