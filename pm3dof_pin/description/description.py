@@ -33,6 +33,9 @@ JointType: TypeAlias = Literal[
 ]
 ShapeKind: TypeAlias = Literal["box", "cylinder", "sphere", "capsule", "ellipsoid", "mesh"]
 
+WORLD = "world"
+"""In MuJoCo, SDFormat and Drake, the body of this name is the world itself."""
+
 MAX_BODIES = 10_000
 """Largest number of bodies."""
 

@@ -6,11 +6,12 @@ from collections.abc import Iterator, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+from pm3dof_pin.description.description import WORLD
 from pm3dof_pin.description.expand import DRAKE_NAMESPACE
 from pm3dof_pin.description.readers.urdf_loops import LOOP_TAGS
 from pm3dof_pin.export.equivalent_loops import with_closures_of
 from pm3dof_pin.export.plain_urdf import urdf_element
-from pm3dof_pin.export.robot_document import WORLD, RobotDocument
+from pm3dof_pin.export.robot_document import RobotDocument
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 from pm3dof_pin.typing import Vector
 

@@ -10,11 +10,11 @@ import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.description.couplings import MAX_DEGREE, Coupling
-from pm3dof_pin.description.description import IDENTITY, Body, Drive, Inertial, Joint, Placement, Shape
+from pm3dof_pin.description.description import IDENTITY, WORLD, Body, Drive, Inertial, Joint, Placement, Shape
 from pm3dof_pin.description.inertia_checks import inertia_matrix
 from pm3dof_pin.description.readers.elements import free_name
 from pm3dof_pin.export.equivalent_loops import with_closures_of
-from pm3dof_pin.export.robot_document import WORLD, RobotDocument, unit_axis
+from pm3dof_pin.export.robot_document import RobotDocument, unit_axis
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
 MESH_KINDS = (".stl", ".obj", ".msh")

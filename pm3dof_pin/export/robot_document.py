@@ -31,9 +31,6 @@ from pm3dof_pin.kinematics.robot import LoadOptions, Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Vector
 
-WORLD = "world"
-"""In MuJoCo, SDFormat and Drake, a root link of this name is the world itself."""
-
 _logger = logging.getLogger(__name__)
 
 

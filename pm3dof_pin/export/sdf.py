@@ -9,9 +9,9 @@ import pinocchio as pin
 
 from pm3dof_pin.description.closure_types import ClosureTypeName
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.description.description import Body, Inertial, Joint, Placement, Shape
+from pm3dof_pin.description.description import WORLD, Body, Inertial, Joint, Placement, Shape
 from pm3dof_pin.export.equivalent_loops import with_closures_of
-from pm3dof_pin.export.robot_document import WORLD, RobotDocument, unit_axis
+from pm3dof_pin.export.robot_document import RobotDocument, unit_axis
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
 _VERSION = "1.7"

@@ -144,8 +144,9 @@ class Mechanism:
         if tool_frame is not None:
             self._frame_id(tool_frame, f"{self.source}: tool_frame")
         self._check_couplings()
-        self._closure_anchors = [self._anchors(*loop) for loop in enumerate(self.closures)]
-        angular = [entry for loop in self.closures for entry in loop.kind.is_angular]
+        for loop in enumerate(self.closures):
+            self._anchors(*loop)  # whose frames must exist
+        angular = [entry for closure in self.closures for entry in closure.kind.is_angular]
         angular += [not self.single_joint(coupling.joint).translates for coupling in self.couplings]
         length = self._typical_length() if characteristic_length is None else characteristic_length
         if not (np.isfinite(length) and length > 0.0):
@@ -232,7 +233,7 @@ class Mechanism:
             CoupledJoints(c, self.single_joint(c.joint), tuple(map(self.single_joint, c.joints)))
             for c in self.couplings
         ]
-        return LoopKinematics(self.model, self._closure_anchors, couplings)
+        return LoopKinematics(self.model, [self._anchors(*loop) for loop in enumerate(self.closures)], couplings)
 
     @cached_property
     def description(self) -> Description:

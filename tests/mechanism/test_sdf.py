@@ -349,3 +349,28 @@ def test_a_screw_has_its_limits(tmp_path: Path) -> None:
     robot = Robot.load(path)
     np.testing.assert_array_equal(robot.lower_limits, [-1.0])
     np.testing.assert_array_equal(robot.upper_limits, [np.inf])
+
+
+def test_a_models_own_frame_is_that_of_its_first_link(tmp_path: Path) -> None:
+    """Joints may have __model__ as an end, and frames of nested models without links carry nothing."""
+    joint = '<joint name="j" type="revolute"><parent>{}</parent><child>{}</child><axis><xyz>0 0 1</xyz></axis></joint>'
+    for ends in (("__model__", "a"), ("a", "__model__")):
+        text = f"""<sdf version="1.9"><model name="m"><link name="base"/><link name="a"><pose>1 0 0 0 0 0</pose></link>
+        {joint.format(*ends)}<model name="empty"><frame name="mark"/></model></model></sdf>"""
+        robot = Robot.load(_written(tmp_path, text))
+        assert (robot.model.nv, set(robot.description.body_by_name)) == (1, {"base", "a"})
+
+
+def test_a_fixed_joint_that_closes_a_loop_is_cut_before_a_hinge(tmp_path: Path) -> None:
+    """So that limits, drives and springs of hinges stay."""
+    text = FOUR_BAR.replace(
+        '<link name="rocker">', '<link name="tip"><pose>0.4 0.3 0 0 0 0</pose></link><link name="rocker">'
+    )
+    fixed = '<joint name="welded" type="fixed"><parent>tip</parent><child>rocker</child></joint>'
+    found = text.rpartition("<joint")
+    last = found[2].partition("</joint>")
+    hinge = _hinge("tip_hinge", "coupler", "tip")
+    robot = Robot.load(_written(tmp_path, f"{found[0]}{fixed}{hinge}{last[2]}"))
+    assert [loop.type for loop in robot.closures] == ["6d"]
+    assert robot.model.nv == 4
+    assert DegreesOfFreedom(robot.home).count == 1

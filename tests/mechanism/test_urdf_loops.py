@@ -283,3 +283,9 @@ def test_a_planar_joint_moves_across_its_axis(write_robot: Writer) -> None:
     np.testing.assert_allclose(normal @ twists[:3], 0.0, atol=1e-15)
     np.testing.assert_allclose(np.cross(twists[3:].T, normal), 0.0, atol=1e-15)
     assert robot.home.frame_placement("cart").isApprox(pin.SE3.Identity(), 1e-12)
+
+
+def test_the_world_of_drakes_urdf_needs_no_link(write_robot: Callable[..., Path]) -> None:
+    weld = '<joint name="weld" type="fixed"><parent link="world"/><child link="arm"/></joint>'
+    robot = Robot.load(write_robot(f'<robot name="r"><link name="arm"/>{weld}</robot>', "{}\n"))
+    assert robot.description.root.name == "world"

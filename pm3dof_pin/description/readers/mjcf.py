@@ -21,6 +21,7 @@ from pm3dof_pin.description.coordinates import Command
 from pm3dof_pin.description.couplings import Coupling, polynomial_of_difference
 from pm3dof_pin.description.description import (
     IDENTITY,
+    WORLD,
     Body,
     Description,
     Drive,
@@ -44,9 +45,6 @@ from pm3dof_pin.description.xml_file import Element, child, children
 from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNotFoundError
 
 _logger = logging.getLogger(__name__)
-
-WORLD = "world"
-"""Name of the body that is the world."""
 
 _TOOL_SITES = ("tool", "tool_frame", "tool0", "tcp", "ee", "eef", "end_effector", "attachment_site")
 _HOME, _INITIAL = "home", "qpos0"

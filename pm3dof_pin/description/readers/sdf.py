@@ -22,6 +22,7 @@ from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.description.description import (
     IDENTITY,
     MAX_BODIES,
+    WORLD,
     Body,
     Description,
     Drive,
@@ -48,9 +49,6 @@ from pm3dof_pin.description.readers.elements import ElementReader, free_name, na
 from pm3dof_pin.description.readers.gearbox import gearbox_coupling
 from pm3dof_pin.description.readers.sdf_includes import included_model, is_merged, merged_parts
 from pm3dof_pin.description.xml_file import Element, child, children
-
-WORLD = "world"
-"""Name of the body that is the world."""
 
 _JOINT_TYPES: dict[str, JointType] = {
     "fixed": "fixed", "revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic",
@@ -156,7 +154,7 @@ class _SdfReader(ElementReader):
         frames = [
             Frame(name, self._link_of(name), Placement.from_se3(self._in(self._link_of(name), name)), element.origin)
             for name, element in self.elements.items()
-            if element.tag == "frame" and name not in self.bodies
+            if element.tag == "frame" and name not in self.bodies and self._link_of(name) in self.bodies
         ]
         gravity = next((g for world in worlds if (g := child(world, "gravity")) is not None), None)
         driven = tuple(dict.fromkeys(drive.joint for drive in drives if drive.joint in {j.name for j in joints}))
@@ -285,6 +283,8 @@ class _SdfReader(ElementReader):
         """Return the body that a link, frame or joint is attached to."""
         if name == WORLD or name in self.bodies or name in within:
             return name
+        if not name:  # the model's own frame
+            return next((link for link, part in self.elements.items() if part.tag == "link"), WORLD)
         element = self.elements[name]
         if element.tag == "link":
             return name
@@ -294,10 +294,7 @@ class _SdfReader(ElementReader):
             ]
             return links[0] if links else WORLD
         other = self._text(element, "child") if element.tag == "joint" else element.get("attached_to", "")
-        resolved = self._resolved(other, self.scopes[name], element)
-        if not resolved:
-            return next((link for link, part in self.elements.items() if part.tag == "link"), WORLD)
-        return self._link_of(resolved, (*within, name))
+        return self._link_of(self._resolved(other, self.scopes[name], element), (*within, name))
 
     def _in(self, body: str, name: str) -> pin.SE3:
         return self._placement(body).actInv(self._placement(name))

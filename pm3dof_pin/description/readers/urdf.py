@@ -16,6 +16,7 @@ import pinocchio as pin
 from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.description.description import (
     IDENTITY,
+    WORLD,
     Body,
     Description,
     Drive,
@@ -127,6 +128,8 @@ class UrdfReader(ElementReader):
                 self.colours[material.get("name", "")] = colour
         bodies = [self._body(element) for element in children(root, "link")]
         joints = [joint for element in children(root, "joint", "drake:joint") for joint in self._joint(element)]
+        if all(body.name != WORLD for body in bodies) and any(joint.parent == WORLD for joint in joints):
+            bodies.insert(0, Body(WORLD, origin=root.origin))  # Drake's, which needs no link
         by_name = {joint.name: joint for joint in joints}
         self._check_mimicked(by_name)
         drives = [drive for element in children(root, "transmission") for drive in self._drives(element, by_name)]
