@@ -18,7 +18,11 @@ def export_function(
         str,
         typer.Option(
             metavar="A,B",
-            help="Quantities: commands, transform, jacobian, compliance at coordinates; coordinates at commands.",
+            help="Quantities at coordinates: commands, transform, jacobian, compliance, stiffness, axis_compliance, "
+            "principal_stiffness, conditioning, coordinate_stiffness, spring_shares, compliance_by_spring, "
+            "holding_forces, mass_matrix, drive_motions, coordinate_inertia, coordinate_weight, vibrations, "
+            "error_sensitivities, constraint_jacobian; Jacobians A_by_B and A_by_B_derivatives, such as "
+            "tool_by_commands; coordinates, at commands; or all.",
         ),
     ] = "commands,coordinates",
     # as in pm3dof_pin.export.functions, which is not imported just for the help

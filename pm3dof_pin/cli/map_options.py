@@ -126,7 +126,8 @@ def robot_grid(
     for entry in ranges or ():
         if entry.count < 1 or (entry.first >= entry.last if entry.count > 1 else entry.first != entry.last):
             words = f"{entry.name} {entry.first:g} {entry.last:g} {entry.count}"
-            raise typer.BadParameter(f"{words}: expected increasing values")
+            expected = "a COUNT of 2 or more" if entry.first < entry.last else "increasing values"
+            raise typer.BadParameter(f"{words}: expected {expected}")
         first, last = (in_si(known[entry.name].unit, end) for end in (entry.first, entry.last))
         axes[entry.name] = (first, last, entry.count)
     for entry in values or ():

@@ -23,7 +23,7 @@ from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_g
 from pm3dof_pin.cli.options import Payload, finite_number, payloads_of
 from pm3dof_pin.cli.output import message
 from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNotFoundError
-from pm3dof_pin.export.functions import Quantity, Target, export_functions
+from pm3dof_pin.export.functions import Target, export_functions
 from pm3dof_pin.kinematics.assemblies import home_within_limits
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
@@ -89,6 +89,8 @@ class TransmissionOptions:
 
         A home that is open, singular or beyond limits is replaced by the only assembly within limits, with a message.
         """
+        if both := sorted({*self.held} & {*_names(self.joints)}):
+            raise typer.BadParameter(f"--hold {both[0]}: is one of --joints")
         try:
             part = robot if self.hold is None else held_as_described(robot, self.held)
             if (home := home_within_limits(part)) is not None:
@@ -144,7 +146,7 @@ class TransmissionOptions:
             raise typer.BadParameter(f"--to {unknown[0]}: expected some of {', '.join(known)}")
         files = []
         for library in libraries:
-            of: list[Quantity] = ["commands"] if library == "c" else ["commands", "coordinates", "jacobian"]
+            of = ["commands"] if library == "c" else ["commands", "coordinates", "jacobian"]
             files += export_functions(robot, of, library, folder / "functions")
         return files
 

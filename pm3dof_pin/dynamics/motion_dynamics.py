@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.kinematics.branches import samples_near_home
+from pm3dof_pin.kinematics.closing_programs import BoundProgram
 from pm3dof_pin.kinematics.jacobians import MotionName, Rate, ReferenceMotions, motion_rates, recorded_motions
 from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
@@ -70,11 +71,10 @@ def motion_dynamics(
     robot.require_possible_inertias()
     model = model_with_payloads(robot, payloads)
     rates = motion_rates(robot, "by", by)
-    seen = motion_rates(robot, "of", robot.actuated_joints) if robot.actuated_joints else rates
-    m = len(rates)
+    seen, m = _seen(robot, rates), len(rates)
 
     def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
-        return _evaluated(robot, model, rates, seen, q, threads)
+        return _program(robot, model, rates, seen).with_doubt(q, threads)
 
     def reference(q: Vector) -> Vector:
         configuration = robot.configuration(q)
@@ -101,15 +101,22 @@ def motion_dynamics(
     return MotionDynamics(frozen(inertia), frozen(values[..., m * m :]))
 
 
-def _evaluated(
-    robot: Robot,
-    model: pin.Model,
-    rates: tuple[Rate, ...],
-    seen: tuple[Rate, ...],
-    q: Matrix,
-    threads: int | None,
-) -> tuple[Array, Mask]:
-    """Evaluate the program at q: inertia and weight, flat; and where nothing is in doubt, shape=(n,)."""
+def motion_dynamics_program(robot: Robot, by: MotionName) -> BoundProgram:
+    """Return the program of the inertia, then the weight, that m rates feel at q, shape=(m (m + 1),).
+
+    Raises:
+        ProgramError: there is no program for this robot.
+    """
+    rates = motion_rates(robot, "by", by)
+    return _program(robot, robot.model, rates, _seen(robot, rates))
+
+
+def _seen(robot: Robot, rates: tuple[Rate, ...]) -> tuple[Rate, ...]:
+    """Return the rates that others must determine."""
+    return motion_rates(robot, "of", robot.actuated_joints) if robot.actuated_joints else rates
+
+
+def _program(robot: Robot, model: pin.Model, rates: tuple[Rate, ...], seen: tuple[Rate, ...]) -> BoundProgram:
 
     def trace() -> Program:
         poses = samples_near_home(robot)
@@ -138,5 +145,4 @@ def _evaluated(
         ("motion_dynamics", rates, seen, mass_pattern(model), geometry.structure(robot), geometry.pattern(robot))
     )
     compiled = cache.known(key, trace)
-    parameters = geometry.values(robot, compiled.program.parameters, mass_numbers(model))
-    return compiled.with_doubt(q, parameters, threads)
+    return BoundProgram(compiled, geometry.values(robot, compiled.program.parameters, mass_numbers(model)))

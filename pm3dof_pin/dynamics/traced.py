@@ -18,6 +18,7 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.traced import Roots, elastic_program
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.branches import samples_near_home
+from pm3dof_pin.kinematics.closing_programs import BoundProgram
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry, masses
 from pm3dof_pin.programs.closed_motions import all_motions, closed_motions
@@ -224,19 +225,26 @@ def holding_program(robot: Robot, poses: Matrix) -> Program:
     return graph.program("holding", {"forces": forces, "pivot": doubt.pivot})
 
 
-def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
-    """Evaluate the matrix whose eigenvalues are 1 / omega^2; other arguments and errors as in :func:`of_drives`.
+def vibrations_program(elastic: ElasticModel, model: pin.Model) -> BoundProgram:
+    """Return the program of the lower triangle of the matrix whose eigenvalues are 1 / omega^2, row by row [s^2].
 
-    Returns lower triangles for `eigvalsh`, shape=(n, e, e) [s^2]; and where nothing is in doubt, shape=(n,).
+    `model` is the mechanism's tree, or a copy with payloads. Errors as in :func:`of_drives`.
     """
-    program = elastic_program(
+    return elastic_program(
         elastic,
         elastic.mechanism.frame_name(),
         "vibrations",
         lambda roots: _vibrations(roots, model),
         **_mass_parameters(elastic, model),
     )
-    entries, sound = program.with_doubt(q, threads)
+
+
+def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
+    """Evaluate the matrix whose eigenvalues are 1 / omega^2; other arguments and errors as in :func:`of_drives`.
+
+    Returns lower triangles for `eigvalsh`, shape=(n, e, e) [s^2]; and where nothing is in doubt, shape=(n,).
+    """
+    entries, sound = vibrations_program(elastic, model).with_doubt(q, threads)
     return _triangles(entries, math.isqrt(2 * entries.shape[1])), sound
 
 
@@ -279,6 +287,26 @@ def _triangles(entries: Matrix, size: int) -> Array:
     return matrices
 
 
+def drives_program(
+    name: Literal["holding_forces", "mass_matrix", "drive_motions"], robot: Robot, model: pin.Model
+) -> BoundProgram:
+    """Return the program of a quantity of the drives at q; arguments and errors as in :func:`of_drives`."""
+
+    def trace() -> Program:
+        poses = samples_near_home(robot)
+        verify(robot, poses)
+        doubt, tree = Doubt(), Tree(Graph(), robot, poses)
+        record = {"holding_forces": _holding, "mass_matrix": _inertia, "drive_motions": _motions}[name]
+        return checked_program(name, tree, record(tree, robot, model, doubt), doubt)
+
+    own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.mass_pattern(model))
+    if name == "drive_motions":
+        own = (*own[:2], [robot.tool_frame or ""])
+    key = repr((name, *own, geometry.structure(robot), geometry.pattern(robot)))
+    compiled = cache.known(key, trace)
+    return BoundProgram(compiled, geometry.values(robot, compiled.program.parameters, masses.mass_numbers(model)))
+
+
 def of_drives(
     name: Literal["holding_forces", "mass_matrix", "drive_motions"],
     robot: Robot,
@@ -293,18 +321,4 @@ def of_drives(
     Raises:
         ProgramError: there is no program for this robot.
     """
-
-    def trace() -> Program:
-        poses = samples_near_home(robot)
-        verify(robot, poses)
-        doubt, tree = Doubt(), Tree(Graph(), robot, poses)
-        record = {"holding_forces": _holding, "mass_matrix": _inertia, "drive_motions": _motions}[name]
-        return checked_program(name, tree, record(tree, robot, model, doubt), doubt)
-
-    own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.mass_pattern(model))
-    if name == "drive_motions":
-        own = (*own[:2], [robot.tool_frame or ""])
-    key = repr((name, *own, geometry.structure(robot), geometry.pattern(robot)))
-    compiled = cache.known(key, trace)
-    parameters = geometry.values(robot, compiled.program.parameters, masses.mass_numbers(model))
-    return compiled.with_doubt(q, parameters, threads)
+    return drives_program(name, robot, model).with_doubt(q, threads)

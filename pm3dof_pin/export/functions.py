@@ -1,5 +1,7 @@
 """A robot's quantities as functions for other people's code: one Python file that is batched and differentiable, or C.
 
+The quantities are those of :mod:`pm3dof_pin.export.function_quantities`.
+
 Loops are closed by the recorded Newton steps, along a straight line from home in a fixed number of legs, so that every
 pose of a batch does the same. Derivatives are those of two more steps at the solution: a Newton step of a root x(y) has
 the derivative of x, whatever it starts from, and two of them also the second.
@@ -7,7 +9,8 @@ the derivative of x, whatever it starts from, and two of them also the second.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -15,13 +18,10 @@ import numpy as np
 
 from pm3dof_pin.arrays import require_choice
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.elastic.batch import compliance
-from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.quantities import COMPLIANCE
-from pm3dof_pin.elastic.traced import elastic_program
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
+from pm3dof_pin.export.function_quantities import KINEMATICS, Described, quantity, quantity_names
 from pm3dof_pin.export.template import docstring
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.jacobians import jacobian
@@ -31,13 +31,9 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.shared_commands import AGREEING
 from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales
 from pm3dof_pin.programs.array_code import IMPORTS, Library, array_code
-from pm3dof_pin.programs.c import c99
-from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.c import c99, number
 from pm3dof_pin.programs.walk import WALK, Walk
 from pm3dof_pin.typing import Array, Matrix, Vector
-
-Quantity: TypeAlias = Literal["commands", "coordinates", "transform", "jacobian", "compliance"]
-"""Commands, transform of the tool, Jacobian of the commands and compliance at coordinates; coordinates at commands."""
 
 Target: TypeAlias = Literal[Library, "c"]
 """What functions are written for."""
@@ -50,7 +46,7 @@ _CLOSED = 1e-10  # closure error after all legs, from which two steps reach roun
 _ACCEPTED = 1e-9  # of answers [m, rad]
 
 
-def export_functions(robot: Robot, of: Sequence[Quantity], to: Target, folder: Path | str) -> list[Path]:
+def export_functions(robot: Robot, of: Sequence[str], to: Target, folder: Path | str) -> list[Path]:
     """Write quantities of a robot as functions.
 
     Example:
@@ -61,9 +57,10 @@ def export_functions(robot: Robot, of: Sequence[Quantity], to: Target, folder: P
 
     Args:
         robot: the robot.
-        of: the quantities, see :data:`Quantity`.
+        of: the quantities: those of :mod:`pm3dof_pin.export.function_quantities`; Jacobians "A_by_B", and
+            "A_by_B_derivatives", A and B as in :func:`~pm3dof_pin.kinematics.jacobians.jacobian`; or "all".
         to: the library, or "c": the kinematics as :func:`~pm3dof_pin.export.controllers.export_controller` writes
-            them, and a function of q for the compliance.
+            them, and a function of q for each other quantity.
         folder: output folder, created if missing.
 
     Returns:
@@ -76,29 +73,74 @@ def export_functions(robot: Robot, of: Sequence[Quantity], to: Target, folder: P
         OutputError: a file cannot be written.
     """
     require_choice("to", to, Target)
-    for name in of:
-        require_choice("of", name, Quantity)
-    if not of:
+    names = list(dict.fromkeys(quantity_names(robot) if list(of) == ["all"] else of))
+    if not names:
         raise InvalidValueError("of", "none", "at least one quantity")
-    if robot.tool_frame is None and {"transform", "compliance"} & {*of}:
-        raise InvalidValueError(f"{robot.name} has no tool frame", expected="one for transform and compliance")
-    if not robot.springs and "compliance" in of:
-        raise InvalidValueError(f"{robot.name} has no springs", expected="some for its compliance")
+    if robot.tool_frame is None and "transform" in names:
+        raise InvalidValueError(robot.name, problem="has no tool frame", expected="one for transform")
+    described = {name: quantity(robot, name) for name in names if name not in KINEMATICS}
+    if invalid := [name for name in described if not name.isidentifier()]:
+        raise InvalidValueError("of", invalid[0], "a quantity that can be the name of a function")
     controller = Controller(robot)
-    files = c_files(controller) if to == "c" else {f"{controller.name}_{to}.py": _module(controller, of, to)}
-    if to == "c" and "compliance" in of:
-        program, parameters = _compliance(robot)
-        summary = f"Compliance of the tool of {robot.name} at a configuration q; sound: 1 if it holds, else 0."
-        files[f"{controller.name}_compliance.c"] = c99(program, summary=summary, parameters=parameters)
+    if to == "c":
+        files = c_files(controller)
+        if described:
+            poses = reachable_poses(robot, _GOLDEN, np.random.default_rng(_SEED))
+            files |= {
+                f"{controller.name}_{name}.c": _c(controller, name, each, poses) for name, each in described.items()
+            }
+    else:
+        files = {f"{controller.name}_{to}.py": _module(controller, names, described, to)}
     return [write_text_atomically(Path(folder) / name, text) for name, text in files.items()]
 
 
-def _compliance(robot: Robot) -> tuple[Program, Vector]:
-    found = elastic_program(ElasticModel(robot), robot.frame_name(), "compliance", COMPLIANCE.traced)
-    return found.compiled.program, found.parameters
+def _c(controller: Controller, name: str, each: Described, poses: Poses) -> str:
+    """Return the function of a quantity at q in C, and its test."""
+    robot, function = controller.robot, f"{controller.name}_{name}"
+    chosen = robot.solve(poses.coordinates, guess=poses.q, engine="pinocchio")
+    values = _finite(robot, name, each.reference(chosen))
+    size = values[0].size
+    program = dataclasses.replace(each.program, name=function)
+    text = c99(
+        program,
+        summary=f"{each.text[0].upper()}{each.text[1:]}, of {robot.name} at q, as {controller.name}_state has it.",
+        descriptions={"sound": "1 if the values hold, else 0"},
+        parameters=each.parameters,
+    )
+    lines = [text]
+    for word, table in (("golden_q", chosen.q), ("golden", values)):
+        lines.append(f"static const double {function}_{word}[{len(table) * table[0].size}] = {{")
+        lines += [f"  {', '.join(number(value) for value in row.ravel().tolist())}," for row in table]
+        lines += ["};", ""]
+    filled = {
+        "@NAME@": function,
+        "@NQ@": str(robot.model.nq),
+        "@SIZE@": str(size),
+        "@RESULTS@": str(len(program.results)),
+        "@POSES@": str(len(values)),
+        "@SCALE@": number(_scale(values, each.least_scale)),
+        "@PARAMETERS@": f"{function}_parameters" if len(each.parameters) else "0",
+        "@SOUND@": f" || y[{size}] < 0.5" if len(program.results) > size else "",
+    }
+    test = _C_SELFTEST
+    for token, value in filled.items():
+        test = test.replace(token, value)
+    return "\n".join([*lines, test])
 
 
-def _module(controller: Controller, of: Sequence[Quantity], to: Library) -> str:
+def _scale(values: Array, least: float) -> float:
+    """Return the size that differences are relative to."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(max(finite.max(initial=0.0), least)) or 1.0
+
+
+def _finite(robot: Robot, name: str, values: Array) -> Array:
+    if np.isnan(values).any():
+        raise InvalidValueError(f"{name} of {robot.name}", "no number", "a quantity that exists at its poses")
+    return values
+
+
+def _module(controller: Controller, of: Sequence[str], described: Mapping[str, Described], to: Library) -> str:
     """Return the Python file."""
     robot = controller.robot
     numbers = controller.models["nominal"].numbers
@@ -109,18 +151,22 @@ def _module(controller: Controller, of: Sequence[Quantity], to: Library) -> str:
         **{part: controller.programs[part] for part in ("branch", "readings", "jacobian")},
     }
     parameters = list(zip(controller.parameters, numbers[:count].tolist(), strict=True))
-    if "compliance" in of:
-        program, values = _compliance(robot)
-        known = {*controller.parameters}
-        parameters += [pair for pair in zip(program.parameters, values.tolist(), strict=True) if pair[0] not in known]
-        programs["compliance"] = program
-    names = tuple(pair[0] for pair in parameters)
+    values = dict(parameters)
+    for name, each in described.items():
+        own = []
+        for parameter, value in zip(each.program.parameters, each.parameters.tolist(), strict=True):
+            # vibrations, for one, have masses at other joints
+            own.append(parameter if values.get(parameter, value) == value else f"{name}/{parameter}")
+            values[own[-1]] = value
+        programs[name] = dataclasses.replace(each.program, parameters=tuple(own))
+    parameters = list(values.items())
+    names = tuple(values)
     poses = reachable_poses(robot, _POSES, np.random.default_rng(_SEED))
     ways = {
         "inverse": (controller.inverse, robot.coordinates, poses.coordinates),
         "forward": (controller.forward, controller.placing, poses.commands[:, robot.placing_drives]),
     }
-    found = {way: _legs(controller, walk, given, values) for way, (walk, given, values) in ways.items()}
+    found = {way: _legs(controller, walk, given, targets) for way, (walk, given, targets) in ways.items()}
     legs = {way: count for way, (count, _) in found.items()}
     reached = min(count for _, count in found.values())
     nq = controller.inverse.nq
@@ -146,9 +192,9 @@ def _module(controller: Controller, of: Sequence[Quantity], to: Library) -> str:
         "coordinates": (len(robot.coordinates),),
         "transform": (4, 4),
         "jacobian": (len(robot.commands), len(robot.coordinates)),
-        "compliance": (6, 6),
+        **{name: each.shape for name, each in described.items()},
     }
-    golden = _golden(robot, of, poses)
+    golden = _golden(robot, of, described, poses)
     units = {
         "coordinates": ", ".join(f"{docstring(c.name)} [{c.unit}]" for c in robot.coordinates),
         "commands": ", ".join(f"{docstring(c.name)} [{c.unit}]" for c in robot.command_coordinates),
@@ -161,10 +207,12 @@ def _module(controller: Controller, of: Sequence[Quantity], to: Library) -> str:
         "",
         "The last axis of arguments is that of the numbers. Poses that are out of reach or on another branch are NaN.",
         "Derivatives are right to second order. `parameters`, named by PARAMETER_NAMES, may be differentiated too.",
+        *(_JIT if to == "jax" else ()),
         f"Loops are closed along a line from home in legs ({legs}), by which {reached} of {_POSES} random poses within",
         "limits were reached.",
         '"""',
         "",
+        *([] if to in ("torch", "casadi") else ["import functools", ""]),
         IMPORTS[to],
         f"PARAMETER_NAMES = {names!r}",
         f"PARAMETERS = {[value for _, value in parameters]!r}",
@@ -172,13 +220,13 @@ def _module(controller: Controller, of: Sequence[Quantity], to: Library) -> str:
         f"_SHAPES = {shapes!r}",
         f"_CLOSED = {_ACCEPTED!r}",
         f"_LONGEST_STEP = {WALK.jump!r}",
-        f"_GOLDEN = {golden!r}",
+        f"_GOLDEN = {{{', '.join(golden)}}}",
         "",
         "",
         *("\n" + array_code(each.with_parameters(names), f"_{part}") for part, each in programs.items()),
         _CASADI if to == "casadi" else _BATCHED.replace("@PRELUDE@", _PRELUDES[to]),
-        *(_definition(quantity, to) for quantity in of),
-        _SELFTEST_CASADI if to == "casadi" else _SELFTEST,
+        *(_definition(name, described.get(name), to) for name in of),
+        _DIFFERENCE + (_SELFTEST_CASADI if to == "casadi" else _SELFTEST),
     ]
     return "\n".join(lines)
 
@@ -224,10 +272,10 @@ def _stepped(walk: Walk, q: Matrix, targets: Matrix, numbers: Vector) -> Array:
     return walk.step.evaluate(np.column_stack([q, np.tile([1.0, 0.0], (len(q), 1)), targets]), numbers)
 
 
-def _golden(robot: Robot, of: Sequence[Quantity], poses: Poses) -> dict[str, list[object]]:
-    """Return arguments and values of the quantities at some poses, by Pinocchio."""
+def _golden(robot: Robot, of: Sequence[str], described: Mapping[str, Described], poses: Poses) -> list[str]:
+    """Return arguments, values and their scale by quantity, as entries of a dictionary; computed by Pinocchio."""
     chosen = robot.solve(poses.coordinates[:_GOLDEN], guess=poses.q[:_GOLDEN], engine="pinocchio")
-    golden: dict[str, list[object]] = {}
+    golden = []
     for name in of:
         match name:
             case "commands":
@@ -238,13 +286,16 @@ def _golden(robot: Robot, of: Sequence[Quantity], poses: Poses) -> dict[str, lis
                 values = chosen.transforms
             case "jacobian":
                 values = jacobian(robot, chosen, of="commands", by="coordinates", engine="pinocchio").values
-            case "compliance":
-                values = compliance(robot, chosen, engine="pinocchio")
+            case _:
+                values = _finite(robot, name, described[name].reference(chosen))
         arguments = chosen.commands if name == "coordinates" else chosen.coordinates
-        golden[name] = [arguments.tolist(), values.tolist()]
+        scale = _scale(values, described[name].least_scale if name in described else 0.0)
+        text = repr(values.tolist()).replace("inf", 'float("inf")')
+        golden.append(f"{name!r}: ({arguments.tolist()!r}, {text}, {scale!r})")
     return golden
 
 
+_JIT = ("Compile what calls them by `jit`, such as `jit(jax.jacfwd(commands))`: on a CPU, jax.jit takes far longer.",)
 _PRELUDES: dict[Library, str] = {
     "numpy": """
 def _stack(values, like, shape):
@@ -265,8 +316,41 @@ def _repeat(count, body, q):
     for k in range(count):
         q = body(k, q)
     return q
+
+
+def _twice(body, q):
+    return body(body(q))
+
+
+def _given(function):
+    @functools.wraps(function)
+    def quiet(values, parameters=None):
+        with np.errstate(divide="ignore", invalid="ignore"):  # of branches that are not chosen
+            return function(values, parameters)
+
+    return quiet
 """,
     "jax": """
+def jit(function, **options):
+    \"\"\"Compile as `jax.jit` does, on a CPU without a pass of XLA's that takes very long for such functions.\"\"\"
+    without = {"xla_disable_hlo_passes": "fusion"} if jax.default_backend() == "cpu" else None
+    return jax.jit(function, compiler_options=without, **options)
+
+
+def _given(function):
+    compiled = []
+
+    @functools.wraps(function)
+    def call(values, parameters=None):
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((values, parameters))):
+            return function(values, parameters)
+        if not compiled:
+            compiled.append(jit(function))
+        return compiled[0](_array(values), parameters)
+
+    return call
+
+
 def _stack(values, like, shape):
     flat = jnp.stack([jnp.broadcast_to(value, like.shape[:-1]) for value in values], axis=-1)
     return flat.reshape(like.shape[:-1] + shape)
@@ -282,6 +366,15 @@ def _still(values):
 
 def _repeat(count, body, q):
     return list(jax.lax.fori_loop(0, count, lambda k, q: tuple(body(k, q)), tuple(q)))
+
+
+def _twice(body, q):
+    shape = q[0].shape
+
+    def step(q, _):
+        return tuple(jnp.broadcast_to(jnp.asarray(value, jnp.float64), shape) for value in body(q)), None
+
+    return list(jax.lax.scan(step, tuple(q), length=2)[0])
 """,
     "torch": """
 def _stack(values, like, shape):
@@ -302,11 +395,23 @@ def _repeat(count, body, q):
         for k in range(count):
             q = body(k, q)
     return q
+
+
+def _twice(body, q):
+    return body(body(q))
+
+
+def _given(function):
+    return function
 """,
 }
 
 _BATCHED = '''
 @PRELUDE@
+
+def _least(a, b):
+    return where(a < b, a, b)
+
 
 def configuration(values, parameters=None, way="inverse"):
     """Return q at coordinates (or, with way="forward", at commands), shape=(..., nq); NaN where there is none."""
@@ -317,23 +422,19 @@ def configuration(values, parameters=None, way="inverse"):
     targets = [(chosen[k] - _OFFSETS[way][k]) / _SCALES[way][k] for k in _ORDER[way]]
     home, still, numbers, legs = _HOME_TARGETS[way], _still(targets), _still(p), _LEGS[way]
 
-    def moved(q, there):
-        *q, _, jump, _ = step([*q[:-1], 1.0, 0.0, *there], numbers)
-        return q, jump
-
     def body(k, state):
-        share = (k // STEPS + 1) / legs
-        q, jump = moved(state, [h + share * (t - h) for h, t in zip(home, still)])
+        share = _least((k // STEPS + 1) / legs, 1.0)
+        there = [h + share * (t - h) for h, t in zip(home, still)]
+        *q, _, jump, _ = step([*state[:-1], 1.0, 0.0, *there], numbers)
         return [*q, where(jump < state[-1], state[-1], jump)]
 
-    def end(k, state):
-        q, jump = moved(state, still)
-        return [*q, where(jump < state[-1], state[-1], jump)]
+    def end(state):
+        *q, margin, _, residual = step([*state[:-2], 1.0, 0.0, *targets], p)
+        return [*q, margin, residual]
 
-    state = _repeat(STEPS * legs, body, [h + 0.0 * still[0] for h in [*_HOME, 0.0]])
-    *q, jump = _still(_repeat(LAST, end, state))
-    for _ in range(2):
-        *q, margin, _, residual = step([*q, 1.0, 0.0, *targets], p)
+    zero = 0.0 * still[0]
+    *q, jump = _still(_repeat(STEPS * legs + LAST, body, [h + zero for h in [*_HOME, 0.0]]))
+    *q, margin, residual = _twice(end, [*q, zero, zero])
     found = _and(residual < _CLOSED, _branch(_still(q), numbers)[0] == _BRANCH)
     found = _and(found, jump < _LONGEST_STEP)
     found = _and(found, -floor(0.5 * _still([margin])[0]) == _MODES[way])
@@ -389,18 +490,18 @@ def _function(name, program, way="inverse"):
     shape, closed = _SHAPES[name], _closed(way)
     q = casadi.SX.sym("q", len(_HOME))
     flat = casadi.vertcat(*map(casadi.SX, program(casadi.vertsplit(q))))
-    if len(shape) == 2:
-        flat = casadi.reshape(flat, shape[1], shape[0]).T
+    if len(shape) > 1:  # CasADi has matrices only: all axes but the last are its rows
+        flat = casadi.reshape(flat, shape[-1], flat.numel() // shape[-1]).T
     values = casadi.MX.sym("values", closed.size1_in(0))
     return casadi.Function(name, [values], [casadi.Function("at_q", [q], [flat])(closed(values))])
 '''.replace("STEPS", str(_STEPS)).replace("LAST", str(_LAST_STEPS))
 
+_IF_SOUND = "[where(found[-1] > 0.5, value, float('nan')) for value in found[:-1]]"
 _SOURCES = {
     "commands": "_readings(q, p)[slice(*_READ['commands'])]",
     "coordinates": "_readings(q, p)[slice(*_READ['coordinates'])]",
     "transform": "_readings(q, p)[slice(*_READ['transform'])]",
-    "jacobian": "[where(found[-1] > 0.5, value, float('nan')) for value in found[:-1]]",
-    "compliance": "[where(found[-1] > 0.5, value, float('nan')) for value in found[:-1]]",
+    "jacobian": _IF_SOUND,
 }
 _TEXTS = {
     "commands": "Return the commands at coordinates, shape=(..., commands) [m, rad].",
@@ -408,35 +509,46 @@ _TEXTS = {
     "transform": "Return the placement of the tool at coordinates, shape=(..., 4, 4) [m].",
     "jacobian": "Return the rates of the commands by those of the coordinates, at coordinates, "
     "shape=(..., commands, coordinates).",
-    "compliance": "Return the compliance of the tool at coordinates, twist by wrench, shape=(..., 6, 6) [SI].",
 }
 
 
-def _definition(quantity: Quantity, to: Library) -> str:
-    way = "forward" if quantity == "coordinates" else "inverse"
-    argument = "commands" if way == "forward" else "coordinates"
-    argument = f"at_{argument}" if argument in _TEXTS else argument
-    first = "" if "found" not in _SOURCES[quantity] else f"    found = _{quantity}(q, p)\n"
+def _definition(name: str, described: Described | None, to: Library) -> str:
+    way = "forward" if name == "coordinates" else "inverse"
+    source = _SOURCES.get(name, _IF_SOUND)
+    if described is None:
+        text = _TEXTS[name]
+    else:
+        text = docstring(f"Return {described.text}, at coordinates, shape=(..., {described.axes}).")
+        if len(described.program.results) == np.prod(described.shape):
+            source = "found"
+    first = f"    found = _{name}(q, p)\n" if "found" in source else ""
     if to == "casadi":
         return (
-            f"\n\ndef _{quantity}_at(q, p=PARAMETERS):\n{first}    return {_SOURCES[quantity]}\n\n\n"
-            f'{quantity} = _function("{quantity}", _{quantity}_at, "{way}")  # {_TEXTS[quantity]}\n'
+            f"\n\ndef _{name}_at(q, p=PARAMETERS):\n{first}    return {source}\n\n\n"
+            f'{name} = _function("{name}", _{name}_at, "{way}")  # {text}\n'
         )
     return (
-        f'\n\ndef {quantity}({argument}, parameters=None):\n    """{_TEXTS[quantity]}"""\n'
-        f'    q, p = _at({argument}, parameters, "{way}")\n{first}'
-        f'    return _stack({_SOURCES[quantity]}, _array({argument}), _SHAPES["{quantity}"])\n'
+        f'\n\n@_given\ndef {name}(values, parameters=None):\n    """{text}"""\n'
+        f'    q, p = _at(values, parameters, "{way}")\n{first}'
+        f'    return _stack({source}, _array(values), _SHAPES["{name}"])\n'
     )
 
+
+_DIFFERENCE = """
+
+def _difference(found, wanted):
+    with np.errstate(invalid="ignore"):
+        return float(np.where(found == wanted, 0.0, np.abs(found - wanted)).max())
+"""
 
 _SELFTEST = '''
 
 def _selftest():
     """Return the greatest relative differences from values computed by Pinocchio, by function."""
     worst = {}
-    for name, (arguments, values) in _GOLDEN.items():
+    for name, (arguments, values, scale) in _GOLDEN.items():
         found, wanted = np.asarray(globals()[name](_array(arguments))), np.array(values)
-        worst[name] = float(np.abs(found - wanted).max() / np.abs(wanted).max())
+        worst[name] = _difference(found, wanted) / scale
         if not worst[name] < 1e-9:
             raise ValueError(f"{name} is off by {worst[name]:.3g} of its size")
     return worst
@@ -451,11 +563,9 @@ _SELFTEST_CASADI = '''
 def _selftest():
     """Return the greatest relative differences from values computed by Pinocchio, by function."""
     worst = {}
-    for name, (arguments, values) in _GOLDEN.items():
-        shape = _SHAPES[name] if len(_SHAPES[name]) == 2 else (*_SHAPES[name], 1)
-        found = [np.array(globals()[name](row)).reshape(shape) for row in arguments]
-        wanted = np.array(values).reshape(len(arguments), *shape)
-        worst[name] = float(np.abs(np.array(found) - wanted).max() / np.abs(wanted).max())
+    for name, (arguments, values, scale) in _GOLDEN.items():
+        found = np.array([np.array(globals()[name](row)).ravel() for row in arguments])
+        worst[name] = _difference(found, np.array(values).reshape(found.shape)) / scale
         if not worst[name] < 1e-9:
             raise ValueError(f"{name} is off by {worst[name]:.3g} of its size")
     return worst
@@ -464,3 +574,31 @@ def _selftest():
 if __name__ == "__main__":
     print(_selftest())
 '''
+
+_C_SELFTEST = """#ifndef INFINITY
+#define INFINITY HUGE_VAL
+#endif
+
+/* Compare with values computed by Pinocchio; returns at how many poses one is wrong by more than rounding, and the
+   worst difference, relative to the greatest value. */
+int @NAME@_selftest(double *worst)
+{
+  double y[@RESULTS@], error;
+  int n, k, wrong = 0, differs;
+  *worst = 0.0;
+  for (n = 0; n < @POSES@; n++) {
+    @NAME@(@NAME@_golden_q + @NQ@ * n, @PARAMETERS@, y);
+    differs = 0@SOUND@;
+    for (k = 0; k < @SIZE@; k++) {
+      const double wanted = @NAME@_golden[@SIZE@ * n + k];
+      error = y[k] == wanted ? 0.0 : fabs(y[k] - wanted) / @SCALE@;
+      if (!(error < 1e-9))
+        differs = 1;
+      if (!(error <= *worst))
+        *worst = error;
+    }
+    wrong += differs;
+  }
+  return wrong;
+}
+"""

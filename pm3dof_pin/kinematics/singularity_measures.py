@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.kinematics.branches import samples_near_home
+from pm3dof_pin.kinematics.closing_programs import BoundProgram
 from pm3dof_pin.kinematics.mobility import Mobility
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
@@ -20,7 +21,6 @@ from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.closed_motions import constraint_rows
 from pm3dof_pin.programs.graph import Graph
-from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.loops import closure_residual
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
@@ -104,12 +104,11 @@ def _in_blocks(
     count: int,
 ) -> tuple[Array, Mask]:
     """Return what is measured of the Jacobians of closures and tool, shape=(n, count), and a mask of sound poses."""
-    compiled = _compiled(robot)
+    jacobians = scaled_jacobians(robot)
     values, sound = np.zeros((len(q), count)), np.zeros(len(q), dtype=bool)
-    own = geometry.values(robot, compiled.program.parameters)
     for first in range(0, len(q), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
-        groups = compiled.program.split(compiled(q[part], own, threads=threads))
+        groups = jacobians.compiled.program.split(jacobians(q[part], threads=threads))
         closed = groups["residual"] <= ASSEMBLED_TOLERANCE * robot.characteristic_length
         closed &= np.isfinite(q[part]).all(axis=1)  # without loops the residual is zero at any q
         rows = first + np.flatnonzero(closed)
@@ -215,8 +214,12 @@ def _least(values: list[Array], ranks: list[int]) -> Array:
     )
 
 
-def _compiled(robot: Robot) -> Compiled:
-    """Return the program of the scaled Jacobians of closures and tool, and of the closure error."""
+def scaled_jacobians(robot: Robot) -> BoundProgram:
+    """Return the program of the scaled Jacobians of closures and tool, and of the closure error, at q.
+
+    Raises:
+        ProgramError: there is no program for this robot.
+    """
 
     def trace() -> Program:
         poses = samples_near_home(robot)
@@ -230,4 +233,5 @@ def _compiled(robot: Robot) -> Compiled:
         return tree.graph.program("jacobians", outputs)
 
     own = ("jacobians", robot.tool_motions, robot.characteristic_length)
-    return cache.known(repr((*own, geometry.structure(robot), geometry.pattern(robot))), trace)
+    compiled = cache.known(repr((*own, geometry.structure(robot), geometry.pattern(robot))), trace)
+    return BoundProgram(compiled, geometry.values(robot, compiled.program.parameters))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -175,6 +175,26 @@ class Program:
             parameters=names,
             operands=np.array(moved, dtype=np.int32)[self.operands],
             results=tuple([moved[number] for number in self.results]),
+        )
+
+    def of_results(self, outputs: Mapping[str, tuple[int, ...]], chosen: Sequence[int]) -> Program:
+        """Return a program of some of the flat outputs, grouped anew, without the operations they do not need."""
+        results, first = [self.results[k] for k in chosen], self.first_line
+        needed = np.zeros(first + len(self), dtype=bool)
+        needed[:first] = True
+        needed[results] = True
+        for number in range(first + len(self) - 1, first - 1, -1):
+            if needed[number]:
+                operands = self.operands[:, number - first]
+                needed[operands[operands >= 0]] = True
+        places = np.append(np.cumsum(needed) - 1, -1).astype(np.int32)  # the operand -1 stays
+        kept = np.flatnonzero(needed[first:])
+        return replace(
+            self,
+            outputs=dict(outputs),
+            codes=bytes(self.codes[k] for k in kept),
+            operands=places[self.operands[:, kept]],
+            results=tuple(places[results].tolist()),
         )
 
     @property

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +15,9 @@ import numpy as np
 import pytest
 
 import pm3dof_pin as pm
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.dynamics.modes import natural_modes
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.export.functions import export_functions
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
@@ -77,11 +82,11 @@ def test_derivatives_with_jax(exported: Exported) -> None:
     rates = pm.jacobian(robot, pose, of="commands", by="coordinates", with_derivatives=True)
     given = jax.numpy.array(pose.coordinates)
     for differentiate in (jax.jacfwd, jax.jacrev):
-        assert np.abs(differentiate(module.commands)(given) - rates.values).max() < 1e-12
-    assert np.abs(jax.jacfwd(jax.jacfwd(module.commands))(given) - rates.derivatives).max() < 1e-9
-    back = jax.jacfwd(module.coordinates)(jax.numpy.array(pose.commands))
+        assert np.abs(module.jit(differentiate(module.commands))(given) - rates.values).max() < 1e-12
+    assert np.abs(module.jit(jax.jacfwd(jax.jacfwd(module.commands)))(given) - rates.derivatives).max() < 1e-9
+    back = module.jit(jax.jacfwd(module.coordinates))(jax.numpy.array(pose.commands))
     assert np.abs(back @ rates.values - np.eye(3)).max() < 1e-11
-    batch = jax.jit(module.commands)(jax.numpy.tile(given, (4, 5, 1)))
+    batch = module.jit(jax.vmap(module.commands))(jax.numpy.tile(given, (4, 5, 1)))
     assert np.abs(batch - pose.commands).max() < 1e-14
 
 
@@ -117,7 +122,70 @@ def test_derivatives_with_torch(exported: Exported) -> None:
 def test_c_and_refusals(tmp_path: Path) -> None:
     files = export_functions(pm.load("pm3dof"), ["commands", "compliance"], "c", tmp_path)
     assert [file.name for file in files] == ["pm3dof.h", "pm3dof.c", "pm3dof_parameters.h", "pm3dof_compliance.c"]
-    with pytest.raises(InvalidValueError, match="no tool frame"):
-        export_functions(loaded("ankle"), ["compliance"], "numpy", tmp_path)
-    with pytest.raises(InvalidValueError, match="stiffness"):
-        export_functions(pm.load("pm3dof"), ["stiffness"], "numpy", tmp_path)  # type: ignore[list-item]
+    refusals = {
+        "transform": "no tool frame",
+        "compliance": "no springs",
+        "stiffnes": "stiffness",
+        "tool_by_commands": "tool_frame",
+        "commands_by_nothing": "nothing",
+    }
+    for name, words in refusals.items():
+        with pytest.raises(PM3DofError, match=words):
+            export_functions(loaded("ankle"), [name], "numpy", tmp_path)
+    with pytest.raises(InvalidValueError, match="stiffness of ankle_rus"):
+        export_functions(pm.load("ankle_rus"), ["stiffness"], "numpy", tmp_path)  # rigid in some direction
+
+
+@pytest.mark.parametrize(
+    ("name", "to"),
+    [("five_bar", "numpy"), ("ankle_rus", "numpy"), ("ankle", "torch"), ("five_bar", "torch"), ("five_bar", "casadi")],
+)
+def test_every_quantity(name: str, to: str, exported: Exported) -> None:
+    if to != "numpy":
+        pytest.importorskip(to)
+    robot = loaded(name)
+    differences = exported(robot, ["all"], to)._selftest()
+    assert max(differences.values()) < 1e-11
+    expected = {"commands", "coordinates", "jacobian", "joints_by_commands", "mass_matrix", "coordinate_weight"}
+    if robot.tool_frame is not None:
+        expected |= {"transform", "tool_by_commands", "vibrations", "error_sensitivities", "constraint_jacobian"}
+    if robot.springs:
+        expected |= {"compliance", "axis_compliance", "principal_stiffness", "compliance_by_spring"}
+    assert expected <= set(differences)
+
+
+def test_every_quantity_with_jax(exported: Exported) -> None:
+    jax = pytest.importorskip("jax")
+    module = exported(loaded("four_bar"), ["all"], "jax")
+    (at_commands, coordinates, _), (given, *_) = module._GOLDEN["coordinates"], module._GOLDEN["commands"]
+    names = [name for name in module._GOLDEN if name != "coordinates"]
+    assert {"compliance", "holding_forces", "vibrations", "tool_by_commands"} <= set(names)
+    found = module.jit(lambda x: [getattr(module, name)(x) for name in names])(jax.numpy.array(given))
+    for name, values in zip(names, found, strict=True):
+        _, wanted, scale = module._GOLDEN[name]
+        np.testing.assert_allclose(values, np.array(wanted), rtol=0.0, atol=1e-11 * scale, err_msg=name)
+    np.testing.assert_allclose(module.coordinates(at_commands), coordinates, atol=1e-12)
+
+
+def test_every_quantity_in_c(tmp_path: Path) -> None:
+    compiler = shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    files = [file for file in export_functions(loaded("five_bar"), ["all"], "c", tmp_path) if "five_bar_" in file.name]
+    sources = [file for file in files if file.suffix == ".c"]
+    options = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC", "-o")
+    subprocess.run([compiler, *options, tmp_path / "all.so", *sources, "-lm"], check=True)
+    library, worst = ctypes.CDLL(str(tmp_path / "all.so")), ctypes.c_double()
+    assert len(sources) > 15
+    for file in sources:
+        assert library[f"{file.stem}_selftest"](ctypes.byref(worst)) == 0, file.stem
+        assert worst.value < 1e-11, file.stem
+
+
+def test_natural_frequencies_from_their_program(exported: Exported) -> None:
+    robot = loaded("five_bar")
+    module = exported(robot, ["vibrations"], "numpy")
+    pose = robot.solve(module._GOLDEN["vibrations"][0][0])
+    squares = np.linalg.eigvalsh(module.vibrations(pose.coordinates))[::-1]
+    wanted = natural_modes(ElasticModel(robot), pose.q, count=3).frequencies
+    np.testing.assert_allclose(1.0 / (2.0 * np.pi * np.sqrt(squares[: len(wanted)])), wanted, rtol=1e-9)
