@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,13 +87,23 @@ def motion_forces(
     """
     robot.require_possible_inertias()
     model = model_with_payloads(robot, payloads)
-    data = model.createData()
     load = np.full((len(poses), model.nv), np.nan)
     known = np.isfinite(velocities).all(axis=1) & np.isfinite(accelerations).all(axis=1)
-    q = np.ascontiguousarray(poses.q)
-    for row in np.flatnonzero(known):
-        load[row] = pin.rnea(model, data, q[row], velocities[row], accelerations[row])
+    rows = [np.ascontiguousarray(values[known]) for values in (poses.q, velocities, accelerations)]
+    load[known] = _loads(model, rows, robot.threads or os.cpu_count() or 1)
     forces = np.einsum("nvu,nv->nu", motions.joints, load)
     if wrenches is not None:
         forces -= np.einsum("niu,ni->nu", motions.tool, finite_array("wrenches", wrenches, (len(poses), 6)))
     return np.asarray(forces)
+
+
+def _loads(model: pin.Model, rows: list[Matrix], threads: int) -> Matrix:
+    """Compute the inverse dynamics of the tree of rows of q, v and a, shape=(n, nv)."""
+    loads = np.empty((len(rows[0]), model.nv))
+    if hasattr(pin, "rneaInParallel"):  # where Pinocchio has OpenMP
+        pin.rneaInParallel(threads, pin.ModelPool(model, threads), *(values.T for values in rows), loads.T)
+        return loads
+    data = model.createData()
+    for row, state in enumerate(zip(*rows, strict=True)):
+        loads[row] = pin.rnea(model, data, *state)
+    return loads
