@@ -22,6 +22,7 @@ _SINGLE_NEARLY_CLOSED = 1e-4  # the same in single precision
 _SELFTEST = 1e-9  # greatest difference from the golden poses [m, rad]
 _SINGLE_SELFTEST = 8.0  # ratio of the same in single precision to the error found
 _STEPS = 6
+_APART = 0.01  # commands that differ by this are those of different poses [characteristic lengths, rad]
 _MAX_STEPS = 400  # of a walk; most take 10 to 100
 
 _PROTOTYPES = {
@@ -229,6 +230,28 @@ CORRECTED
   return NAME_OK;
 }
 
+#if NAME_HAS_BRANCHES
+/* Whether the walk from home to the coordinates of a pose ends elsewhere: legs that flip in pairs leave the signs that
+   tell branches apart as they are. */
+static int name_is_elsewhere(const name_model *model, const double *y)
+{
+  double targets[NAME_TARGETS], q[NAME_POSITIONS], there[NAME_READINGS], error;
+  int k;
+  name_place(y + NAME_COMMANDS, targets);
+  if (name_walk(0, model->numbers + NAME_NUMBERS, targets, model->numbers, q) != NAME_OK)
+    return 0; /* it leaves the workspace */
+  name_readings(q, model->numbers, there);
+  for (k = 0; k < NAME_COMMANDS; k++) {
+    error = there[k] - y[k];
+    if (name_turns[NAME_COORDINATES + k] > 0.0)
+      error -= name_turns[NAME_COORDINATES + k] * floor(error / name_turns[NAME_COORDINATES + k] + 0.5);
+    if (fabs(error) > name_apart[k])
+      return 1;
+  }
+  return 0;
+}
+
+#endif
 DECLARE_forward
 {
   double targets[NAME_TARGETS], given[NAME_COMMANDS], q[NAME_POSITIONS], y[NAME_READINGS];
@@ -241,6 +264,10 @@ FORWARD_TARGETS
   if (status != NAME_OK)
     return status;
   name_readings(q, model->numbers, y);
+#if NAME_HAS_BRANCHES
+  if (state->walks && name_is_elsewhere(model, y))
+    return NAME_BEYOND;
+#endif
 CONTRADICTION
   name_keep(state, q);
   for (k = 0; k < NAME_COMMANDS; k++)
@@ -419,6 +446,7 @@ def _header(controller: Controller) -> str:
 def _comment(controller: Controller, real: Real) -> str:
     """Return the comment at the head of the files."""
     robot = controller.robot
+    home = robot.at([robot.home.q]).coordinates[0] + 0.0
     lines = [
         f"Kinematics of {robot.name}, written by pm3dof export c. C99; needs only math.h. Lengths in m, angles in rad.",
         "No memory is allocated, and no state is kept but the caller's: calls with different states may run at once.",
@@ -427,6 +455,8 @@ def _comment(controller: Controller, real: Real) -> str:
         *_rows(robot.coordinates, [robot.range_of(c) for c in robot.coordinates]),
         "commands, the counters of the drives:",
         *_rows(robot.command_coordinates, [robot.range_of(c) for c in robot.command_coordinates]),
+        "home, where a state of all zeros begins:",
+        *(f"  {c.name} = {value:.9g} {c.unit}" for c, value in zip(robot.coordinates, home, strict=True)),
         "limits, bits of what name_limits returns:",
         *(f"  {1 << bit}: {group.name}" for bit, group in enumerate(robot.limit_groups)),
     ]
@@ -449,8 +479,8 @@ def _comment(controller: Controller, real: Real) -> str:
 
 
 def _walks(controller: Controller) -> int:
-    """Return the most walks of a call: from the pose before and home, and of an arm by each golden pose."""
-    return 2 if controller.robot.has_loops else 2 + 2 * max(len(model.golden) for model in controller.models.values())
+    """Return the most walks of a call: from the pose before, home, and to a pose again; of an arm by golden poses."""
+    return 3 if controller.robot.has_loops else 2 + 2 * max(len(model.golden) for model in controller.models.values())
 
 
 def _operations(controller: Controller) -> list[str]:
@@ -462,7 +492,7 @@ def _operations(controller: Controller) -> list[str]:
         part = {name: len(program.lines) for name, program in walk.parts.items()}
         near = _STEPS * part["step"] + judged
         walked = part["start"] + _MAX_STEPS * (part["step"] + part["control"]) + 2 * count["branch"]
-        walks = _walks(controller) if way == "inverse" else 2
+        walks = _walks(controller) if (way == "forward") == controller.robot.has_loops else 2
         lines.append(
             f"  {way}: {part['step'] + judged} along a smooth motion, at most {near} near the pose before, and "
             f"{near + walks * walked} with walks"
@@ -484,7 +514,8 @@ def _declarations(controller: Controller, linkage: str) -> list[str]:
         "inverse": "Compute the commands of a pose; they are written only if the result is NAME_OK.\n"
         "   Follows from the state's pose with few Newton steps, or else walks there from it or from home, in\n"
         "   steps short enough to stay on the branch of home. Commands of drives that turn without end continue.",
-        "forward": "Compute the pose at commands, as above.",
+        "forward": "Compute the pose at commands, as above. After a walk, that of inverse from home to the pose\n"
+        "   must give the same commands, if it arrives.",
         "jacobian": "Rates of the commands by those of the coordinates at the state's pose, jac[j][a] = du_j/dx_a;\n"
         "   NAME_BEYOND if the pose is singular.",
         "limits": "Limits that the state's pose breaks, as bits.",
@@ -508,6 +539,7 @@ def _core(controller: Controller, real: Real, linkage: str) -> str:
         selftest = _SINGLE_SELFTEST * max(controller.single_precision_error, float(np.finfo(np.float32).eps))
     described = (*robot.coordinates, *commands)
     turns = np.nan_to_num(coordinate_periods(robot, described), posinf=0.0).tolist()
+    apart = [_APART * abs(c.scale) * (size if robot.single_joint(c.joint).translates else 1.0) for c in robot.commands]
     tables = [model.correction for model in controller.models.values() if model.correction is not None]
     defines = {
         "TARGETS": max(len(robot.coordinates), len(placing)),
@@ -515,6 +547,7 @@ def _core(controller: Controller, real: Real, linkage: str) -> str:
         "READINGS": len(programs["readings"].results),
         "CHECKS": len(programs["checks"].results),
         "STEPS": _STEPS,
+        "HAS_BRANCHES": int(robot.has_branches),
         "WAYPOINTS": int(not robot.has_loops),  # an arm goes round singular poses, by golden ones
         "IS_PRECISE": int(tolerance <= nearly),
         "IS_SMOOTH": int(robot.model.nq == robot.model.nv),  # else positions are no numbers to extrapolate
@@ -554,6 +587,7 @@ def _core(controller: Controller, real: Real, linkage: str) -> str:
             "",
             _row("units", [abs(c.scale) for c in described], real),
             _row("turns", turns, real),
+            *([_row("apart", apart, real)] if robot.has_branches else []),
             "",
             *functions,
             *([_DEVIATIONS] if tables else []),
