@@ -16,6 +16,7 @@ from pm3dof_pin.typing import Vector
 _MAX_MAGNITUDE = 1e100  # the product of any three is a number
 _LARGE = 2**26  # bytes
 _LISTED = 18  # numbers of a vector in a message
+_NOTHING = 1e-14  # numbers of smaller size are listed as 0
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 
 
@@ -78,7 +79,7 @@ def require_kind(name: str, value: object, kind: type, origin: str) -> None:
 
 def listed(numbers: Vector) -> str:
     """Format a vector in one line for a message: (0.1 0 -2.5); of a long one the first numbers."""
-    shown = [f"{number:.4g}" for number in numbers[:_LISTED]]
+    shown = [f"{0.0 if abs(number) < _NOTHING else number:.4g}" for number in numbers[:_LISTED]]
     return f"({' '.join(shown)}{f' and {len(numbers) - _LISTED} more' if len(numbers) > _LISTED else ''})"
 
 

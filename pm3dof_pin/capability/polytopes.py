@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -190,13 +190,36 @@ class Polytopes:
         along = np.einsum("...md,...d->...m", self.normals, np.asarray(point, dtype=float))
         return np.asarray((self.offsets - along).min(axis=-1))
 
+    def corners(self) -> Array:
+        """Return the vertices of parallelepipeds at all poses, shape=(..., 2^d, d); NaN where there are none.
+
+        Those of the forces and rates of as many drives as dimensions, a thousand times as fast as :meth:`vertices`.
+
+        Raises:
+            InvalidValueError: the polytopes have more facets, or fewer.
+        """
+        dimensions, facets = self.normals.shape[-1], self.normals.shape[-2]
+        if facets != 2 * dimensions:
+            raise InvalidValueError("polytopes", f"{facets} facets", f"parallelepipeds of {2 * dimensions}")
+        normals, (upper, lower) = self.normals[..., :dimensions, :], np.split(self.offsets, 2, axis=-1)
+        exist = np.asarray(np.isfinite(self.offsets).all(axis=-1) & (upper + lower >= 0.0).all(axis=-1))
+        corners = np.full((*self.shape, 2**dimensions, dimensions), np.nan)
+        with np.errstate(invalid="ignore"):
+            exist &= np.abs(np.linalg.det(np.where(exist[..., None, None], normals, 0.0))) > 0.0
+        chosen = np.array(list(product((False, True), repeat=dimensions)))
+        ends = np.where(chosen, upper[exist][:, None, :], -lower[exist][:, None, :])
+        corners[exist] = ends @ np.swapaxes(np.linalg.inv(normals[exist]), -1, -2)
+        return frozen(corners)
+
     def vertices(self, index: int | tuple[int, ...] = ()) -> Matrix:
         """Return the vertices of one polytope of the batch, shape=(n, d); none if it is empty, or of an unsolved pose.
 
         Raises:
-            InvalidValueError: the polytope is unbounded.
+            InvalidValueError: the polytope is unbounded; or the index is that of several.
         """
         normals, offsets = self.normals[index], self.offsets[index]
+        if offsets.ndim > 1:
+            raise InvalidValueError("index", index, f"that of one polytope in a batch of shape {self.shape}")
         bounds = np.isfinite(offsets) & normals.any(axis=-1)
         if np.isneginf(offsets).any() or np.isnan(offsets).any():
             return np.zeros((0, normals.shape[-1]))

@@ -68,8 +68,6 @@ def transmission(
         raise typer.BadParameter("--to needs a folder: --out DIR")
     lines = [*_lines(at), *_drive_gains_lines(at, wanted), "", *_box_lines(model)]
     print_result(result, lines, as_json=as_json, files=files)
-    if set(at.joints) == {command.name for command in at.poses.robot.commands}:
-        message("pm3dof: these coordinates are the drives' own: name the joints of the serial model with --joints A,B")
     unknown = [name for name, spread in (("--effort", model.torque), ("--speed", model.speed)) if spread is None]
     if unknown:
         message(

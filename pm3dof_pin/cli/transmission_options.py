@@ -22,7 +22,12 @@ from pm3dof_pin.cli.drive_options import NUMBER_OF_DRIVES, DriveEffort, DriveSpe
 from pm3dof_pin.cli.map_options import CoordinateRange, declared_ranges, robot_grid
 from pm3dof_pin.cli.options import Payload, finite_number, payloads_of
 from pm3dof_pin.cli.output import message
-from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, JointNotFoundError
+from pm3dof_pin.exceptions import (
+    FrameNotFoundError,
+    InvalidValueError,
+    JointNotFoundError,
+    SingularConfigurationError,
+)
 from pm3dof_pin.export.functions import Target, export_functions
 from pm3dof_pin.kinematics.assemblies import home_within_limits
 from pm3dof_pin.kinematics.grid import Grid
@@ -103,9 +108,15 @@ class TransmissionOptions:
                 robot = robot.with_home(_completed(robot, part))
             if self.subtree is not None:
                 part = held_outside(part, self.subtree, _names(self.joints))
-            return robot, joint_driven(part, _names(self.joints))
+            part = joint_driven(part, _names(self.joints))
         except (JointNotFoundError, FrameNotFoundError, InvalidValueError) as error:
             raise typer.BadParameter(str(error)) from error
+        if {c.name for c in part.coordinates} == {command.name for command in part.commands}:
+            message(
+                "pm3dof: these coordinates are the drives' own: name the joints of the serial model with --joints A,B, "
+                "and one leg of several with --subtree LINK"
+            )
+        return robot, part
 
     @property
     def held(self) -> list[str]:
@@ -119,7 +130,15 @@ class TransmissionOptions:
     def _of(self, robot: Robot, values: Poses | Grid) -> Transmission:
         limits: Any = limits_of_drives(robot, effort=self.effort, speed=self.speed, armature=self.armature)
         limits["payloads"] = payloads_of(robot, self.payload)
-        return transmission(robot, values, on_failure="nan" if values.shape else "raise", **limits)
+        try:
+            return transmission(robot, values, on_failure="nan" if values.shape else "raise", **limits)
+        except SingularConfigurationError as error:
+            if self.joints is None:
+                raise
+            raise SingularConfigurationError(
+                f"{error}; the joints and the drives must determine each other: name others with --joints and "
+                "--drives, make springs rigid with --hold, or take one leg with --subtree LINK"
+            ) from error
 
     def box(self, robot: Robot) -> Transmission:
         """Compute the transmission over the box: the given ranges, and those declared of all other joints."""

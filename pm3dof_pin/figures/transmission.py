@@ -16,13 +16,14 @@ from matplotlib.patches import Polygon
 from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.capability.transmission import Transmission
 from pm3dof_pin.figures.color_scale import color_scale
-from pm3dof_pin.figures.labels import axis_label, drawn, part_words, plain
+from pm3dof_pin.figures.labels import axis_label, drawn, in_words, plain
 from pm3dof_pin.figures.outlined_mesh import draw_map, outlined_mesh
 from pm3dof_pin.figures.style import COLORMAP, TWO_COLUMNS, house_style, new_figure, round_ticks
 from pm3dof_pin.typing import Array, Mask
 
 _GRID = 5  # polytopes along each joint
 _LINES = 5  # of constant second joint
+_COLUMNS = 3  # drives side by side
 
 
 def transmission_pictures(box: Transmission) -> dict[str, Figure]:
@@ -37,11 +38,20 @@ def transmission_pictures(box: Transmission) -> dict[str, Figure]:
         figures["joint_maps"] = _joint_maps(box)
     if len(box.joints) == 2:
         known = bool(np.isfinite(box.effort).all())
-        torques, unit = (box.torques, "N m") if known else (box.unit_torques, "drive efforts")
+        unit = _units(box, "N m", "N") if known else "drive efforts"
+        torques = box.torques if known else box.unit_torques
         figures["torque_polytopes"] = _polytopes(box, torques, "Torques beyond those that hold the weight", unit)
         if np.isfinite(box.speed).all():
-            figures["speed_polytopes"] = _polytopes(box, box.speeds, "Speeds of the joints", "rad/s")
+            figures["speed_polytopes"] = _polytopes(
+                box, box.speeds, "Speeds of the joints", _units(box, "rad/s", "m/s")
+            )
     return figures
+
+
+def _units(box: Transmission, turning: str, sliding: str) -> str:
+    """Return the units of a quantity of the first two joints, one if they are the same."""
+    found = [sliding if coordinate.unit == "m" else turning for coordinate in box.poses.robot.coordinates[:2]]
+    return ", ".join(dict.fromkeys(found))
 
 
 def _section(box: Transmission, values: Array) -> Array:
@@ -62,7 +72,12 @@ def _axes(box: Transmission) -> list[tuple[Array, str]]:
 
 
 def _title(figure: Figure, box: Transmission, words: str, height: float) -> None:
-    figure.suptitle(f"{words}: {plain(box.poses.robot.name)}", y=1.0 - 0.06 / height, va="top")
+    held = [
+        in_words(coordinate.name, float(axis[len(axis) // 2]), coordinate.unit, 3)
+        for axis, coordinate in zip(box.axes[2:], box.poses.robot.coordinates[2:], strict=True)
+    ]
+    where = f", at {', '.join(held)}" if held else ""
+    figure.suptitle(f"{words}: {plain(box.poses.robot.name)}{where}", y=1.0 - 0.06 / height, va="top")
 
 
 def _polytopes(box: Transmission, polytopes: Polytopes, words: str, unit: str) -> Figure:
@@ -96,7 +111,7 @@ def _polytopes(box: Transmission, polytopes: Polytopes, words: str, unit: str) -
         bar.set_label(f"greatest circle inside [{unit}]")
         _title(figure, box, words, height)
         ends = ", ".join(plain(joint) for joint in box.joints)
-        panel.set_title(f"each about its pose, in axes {ends}; the distance of two is {2 / 0.9 * largest:.3g} {unit}")
+        panel.set_title(f"each about its pose, in axes {ends}; neighbours are {2 / 0.9 * largest:.3g} {unit} apart")
         figure.subplots_adjust(left=0.09, right=0.98, top=1.0 - 0.5 / height, bottom=0.45 / height)
     return figure
 
@@ -114,22 +129,34 @@ def _joint_maps(box: Transmission) -> Figure:
     inertia = np.einsum("...ii->...i", box.rotor_inertia if rotors else box.inertia)
     known = bool(np.isfinite(box.effort).all())
     torques = box.pure_total_torques if known else box.unit_pure_torques
-    maps = {("rotor inertia felt" if rotors else "inertia", "kg m²"): inertia}
-    maps["greatest torque", "N m" if known else "drive efforts"] = torques
+    slides = [coordinate.unit == "m" for coordinate in box.poses.robot.coordinates[:2]]
+    rows = [
+        (
+            "rotor inertia felt" if rotors else "inertia",
+            ["kg" if is_slide else "kg m²" for is_slide in slides],
+            inertia,
+        ),
+        (
+            "greatest torque",
+            [("N" if is_slide else "N m") if known else "drive efforts" for is_slide in slides],
+            torques,
+        ),
+    ]
     height = 5.0
     with house_style():
         figure = new_figure(TWO_COLUMNS, height)
         panels = figure.subplots(2, 2, sharex=True, sharey=True)
-        for row, ((words, unit), values) in zip(panels, maps.items(), strict=True):
+        for row, (words, units, values) in zip(panels, rows, strict=True):
             for k, panel in enumerate(row):
-                _map(figure, panel, box, _section(box, values)[..., k], unit)
-                panel.set_title(f"{words}, {plain(box.joints[k])}")
+                _map(figure, panel, box, _section(box, values)[..., k], units[k])
+                named = words.replace("torque", "force") if slides[k] else words
+                panel.set_title(f"{named}, {plain(box.joints[k])}")
         for panel in panels[-1]:
             panel.set_xlabel(across)
         for panel in panels[:, 0]:
             panel.set_ylabel(up)
         _title(figure, box, "Joints driven through loops", height)
-        figure.subplots_adjust(left=0.09, right=0.95, top=1.0 - 0.6 / height, bottom=0.45 / height, hspace=0.25)
+        figure.subplots_adjust(left=0.1, right=0.95, top=1.0 - 0.6 / height, bottom=0.45 / height, hspace=0.25)
     return figure
 
 
@@ -149,7 +176,8 @@ def _map(figure: Figure, panel: Axes, box: Transmission, values: Array, unit: st
     mesh = outlined_mesh(box.axes[0], box.axes[1], inside, within)
     units = [coordinate.unit for coordinate in robot.coordinates[:2]]
     scale = color_scale(values)
-    draw_map(panel, mesh, mesh.values(values), scale, units)
+    ends = np.nanmin(values), np.nanmax(values)  # the scale's: values are extrapolated up to the limits
+    draw_map(panel, mesh, np.clip(mesh.values(values), *ends), scale, units)
     bar = figure.colorbar(ScalarMappable(scale.norm(), COLORMAP), ax=panel, pad=0.03)
     scale.label(bar)
     bar.set_label(unit)
@@ -163,10 +191,15 @@ def _drive_angles(box: Transmission) -> Figure:
     readings: Mapping[str, Array] = {
         command.name: drawn(box.poses.commands[..., k], command.unit) for k, command in enumerate(commands)
     }
-    height = 2.8
+    columns = min(len(readings), _COLUMNS)
+    rows = -(-len(readings) // columns)
+    height = 2.8 * rows
     with house_style():
         figure = new_figure(TWO_COLUMNS, height)
-        panels = figure.subplots(1, len(readings), squeeze=False)[0]
+        panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
+        for panel in panels[len(readings) :]:
+            panel.set_visible(False)
+        panels = panels[: len(readings)]
         for panel, command, values in zip(panels, commands, readings.values(), strict=True):
             if not others:
                 panel.plot(first, np.where(box.poses.within_limits, values, np.nan))
@@ -177,12 +210,13 @@ def _drive_angles(box: Transmission) -> Figure:
                 for number, j in enumerate(picks):
                     colour = colormaps[COLORMAP](0.9 * number / max(len(picks) - 1, 1))
                     panel.plot(first, section[:, j], color=colour, label=f"{second[j]:.3g}")
-                if panel is panels[-1]:
-                    panel.legend(title=label, fontsize=6.5, title_fontsize=6.5)
+                if panel is panels[columns - 1]:
+                    beside = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.0), "borderaxespad": 0.0}
+                    panel.legend(title=label, fontsize=6.5, title_fontsize=6.5, **beside)
             panel.set_xlabel(across)
             panel.set_ylabel(axis_label(command.name, command.unit))
-            panel.set_title(part_words(command.name))
-            round_ticks(panel)
+            round_ticks(panel, *((5, 7) if columns < _COLUMNS else (3, 5)))
         _title(figure, box, "Drives against joints", height)
-        figure.subplots_adjust(left=0.09, right=0.98, top=1.0 - 0.6 / height, bottom=0.5 / height, wspace=0.35)
+        right = 0.84 if others else 0.98
+        figure.subplots_adjust(left=0.11, right=right, top=1.0 - 0.4 / height, bottom=0.5 / height, wspace=0.55)
     return figure

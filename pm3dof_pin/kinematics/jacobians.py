@@ -227,8 +227,9 @@ class ReferenceMotions:
         given = dof.over(self._rows(by) * dof.scale / self._column_scale[:, None])
         names = ", ".join(rate.name for rate in by)
         if Restriction(wanted, given.motions).rank.rank:
+            alone = [rate.name for k, rate in enumerate(of) if Restriction(wanted[[k]], given.motions).rank.rank]
             raise SingularConfigurationError(
-                f"{robot.name}: {', '.join(rate.name for rate in of)} can move with {names} at rest, "
+                f"{robot.name}: {', '.join(alone or [rate.name for rate in of])} can move with {names} at rest, "
                 f"at q = {listed(configuration.q)}"
             )
         if given.rank.rank < min(len(by), dof.count):

@@ -92,3 +92,22 @@ def test_directions_that_rounded_numbers_nearly_let_the_drives_feel_are_unlimite
     forces = Polytopes.from_box(np.eye(1), [-3.0], [3.0]).pulled_back(felt)
     assert forces.extent([1.0, 0.0]) == pytest.approx(3.0)
     assert np.isinf(forces.extent([0.0, 1.0]))
+
+
+def test_corners_of_many_parallelepipeds() -> None:
+    generator = np.random.default_rng(4)
+    matrices = generator.normal(size=(2, 5, 3, 3))
+    matrices[1, 4] = np.nan
+    polytopes = Polytopes.from_box(matrices, [-1.0, -2.0, -0.5], [1.5, 2.0, 0.7], centre=[0.1, 0.0, -0.2])
+    corners = polytopes.corners()
+    assert corners.shape == (2, 5, 8, 3)
+    assert np.isnan(corners[1, 4]).all()
+    for index in np.ndindex(2, 4):
+        one = polytopes.vertices(index)
+        distances = np.linalg.norm(corners[index][:, None] - one[None], axis=-1)
+        assert distances.min(axis=1).max() < 1e-9 * np.abs(one).max()
+        assert len(set(distances.argmin(axis=1))) == 8
+    with pytest.raises(InvalidValueError, match="one polytope"):
+        polytopes.vertices()
+    with pytest.raises(InvalidValueError, match="facets"):
+        Polytopes.from_box(generator.normal(size=(2, 3)), [-1.0] * 3, [1.0] * 3).corners()
