@@ -193,7 +193,7 @@ class Polytopes:
     def corners(self) -> Array:
         """Return the vertices of parallelepipeds at all poses, shape=(..., 2^d, d); NaN where there are none.
 
-        Those of the forces and rates of as many drives as dimensions, a thousand times as fast as :meth:`vertices`.
+        Those of the forces and rates of as many drives as dimensions, over a hundred times as fast as :meth:`vertices`.
 
         Raises:
             InvalidValueError: the polytopes have more facets, or fewer.

@@ -66,3 +66,34 @@ def _without_rotors(model: pin.Model) -> pin.Model:
     bare = model.copy()
     bare.armature = np.zeros(model.nv)
     return bare
+
+
+@pytest.mark.parametrize("name", ["ankle_rus", "ankle_spu", "hexapod", "linear_delta", "pm3dof", "three_rps"])
+def test_inertia_and_weight_at_the_drives_are_those_of_mujoco(name: str) -> None:
+    """MuJoCo's mass matrix and gravity, projected on the null space of its equality constraints."""
+    mujoco = pytest.importorskip("mujoco")
+    robot = pm.load(name)
+    assert robot.files is not None
+    model = mujoco.MjModel.from_xml_path(str(robot.files.urdf.parents[1] / "mjcf" / f"{name}.xml"))
+    data = mujoco.MjData(model)
+    poses = pm.reachable_poses(robot, 20, np.random.default_rng(1))
+    found = motion_dynamics(robot, poses, by=robot.actuated_joints)
+    joints = [robot.single_joint(joint).q_index for joint in list(robot.model.names)[1:]]
+    places = [model.joint(joint).qposadr[0] for joint in list(robot.model.names)[1:]]
+    drives = [model.joint(joint).dofadr[0] for joint in robot.actuated_joints]
+    for q, inertia, weight in zip(poses.q, found.inertia, found.weight, strict=True):
+        data.qpos[places] = q[joints]
+        mujoco.mj_forward(model, data)
+        rows = np.zeros((data.nefc, model.nv))
+        if mujoco.mj_isSparse(model):
+            mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+        else:
+            rows[:] = data.efc_J.reshape(rows.shape)
+        _, sizes, directions = np.linalg.svd(rows[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY])
+        null = directions[(sizes > 1e-8 * sizes[0]).sum() :].T
+        motions = null @ np.linalg.inv(null[drives])
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        np.testing.assert_allclose(inertia, motions.T @ mass @ motions, atol=1e-12 * np.abs(inertia).max())
+        mujoco.mj_rne(model, data, 0, held := np.zeros(model.nv))
+        np.testing.assert_allclose(weight, motions.T @ held, atol=1e-12 * np.abs(weight).max())
