@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from pm3dof_pin.cli.options import RobotOptions
 from pm3dof_pin.cli.output import message
+from pm3dof_pin.export.function_quantities import KINEMATICS, QUANTITIES
 from pm3dof_pin.export.functions import export_functions
 
 
@@ -21,7 +22,8 @@ def export_function(
             help="Quantities at coordinates: commands, transform, jacobian, compliance, stiffness, axis_compliance, "
             "principal_stiffness, conditioning, coordinate_stiffness, spring_shares, compliance_by_spring, "
             "holding_forces, mass_matrix, drive_motions, coordinate_inertia, coordinate_weight, vibrations, "
-            "error_sensitivities, constraint_jacobian; Jacobians A_by_B and A_by_B_derivatives, such as "
+            "error_sensitivities, geometric_error, geometric_error_bound, geometric_error_left, constraint_jacobian; "
+            "Jacobians A_by_B and A_by_B_derivatives, such as "
             "tool_by_commands; coordinates, at commands; or all.",
         ),
     ] = "commands,coordinates",
@@ -36,6 +38,11 @@ def export_function(
     The functions take radians and metres. Each file has a _selftest() against values computed by Pinocchio.
     """
     which.announce()
-    names: Any = [name.strip() for name in of.split(",") if name.strip()]
+    names = [name.strip() for name in of.split(",") if name.strip()]
+    known = ("all", *KINEMATICS, *QUANTITIES)
+    if unknown := [name for name in names if name not in known and "_by_" not in name]:
+        raise typer.BadParameter(
+            f"--of {unknown[0]}: expected A_by_B, A_by_B_derivatives, or one of {', '.join(known)}"
+        )
     for file in export_functions(which.load(), names, to, out):
         message(f"wrote {file}")

@@ -17,6 +17,7 @@ from pm3dof_pin.errors.normal_vectors import mean_radius
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
 from pm3dof_pin.errors.source_errors import ErrorSources
+from pm3dof_pin.kinematics.closing_programs import BoundProgram
 from pm3dof_pin.kinematics.pose_values import BatchOptions, PoseValues, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.programs.elimination import eliminate, squared_singular_values, total, zeros
@@ -50,16 +51,10 @@ def kinematic_sum(
     Raises:
         PM3DofError: see :func:`~pm3dof_pin.errors.error_budget.error_budget`.
     """
-    robot, numbers = sources.robot, sources.kinematic
+    robot = sources.robot
 
     def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
-        values = {"eta": eta}
-        for k, (deviation, greatest) in enumerate(zip(numbers.deviations, numbers.greatest, strict=True)):
-            values |= {f"deviation/{k}": float(deviation), f"greatest/{k}": float(deviation * greatest)}
-        compiled, parameters = reduced(
-            f"error_{name}", numbers.errors, lambda motions: _recorded(name, motions, values), values
-        )
-        flat, sound = compiled.with_doubt(q, parameters, threads)
+        flat, sound = kinematic_sum_program(sources, name, eta).with_doubt(q, threads)
         if name == "energy":
             flat = mean_radius(flat.reshape(-1, 2, 3)) @ [[1.0], [eta]]
         return flat, sound
@@ -73,6 +68,20 @@ def kinematic_sum(
         reference=lambda q: getattr(error_budget(sources, robot.at([q]), eta=eta, names=[_CLASS]), name),
         program_from=_PROGRAM_FROM,
         **options,
+    )
+
+
+def kinematic_sum_program(sources: ErrorSources, name: KinematicSum, eta: float = TIP_LENGTH) -> BoundProgram:
+    """Return the program of a sum at q [m]; of the energy that of the deviations along principal axes, shape=(2, 3).
+
+    Raises:
+        ProgramError: see :func:`~pm3dof_pin.errors.sensitivity_program.evaluated`.
+    """
+    numbers, values = sources.kinematic, {"eta": eta}
+    for k, (deviation, greatest) in enumerate(zip(numbers.deviations, numbers.greatest, strict=True)):
+        values |= {f"deviation/{k}": float(deviation), f"greatest/{k}": float(deviation * greatest)}
+    return BoundProgram(
+        *reduced(f"error_{name}", numbers.errors, lambda motions: _recorded(name, motions, values), values)
     )
 
 

@@ -21,8 +21,10 @@ from pm3dof_pin.elastic import quantities as elastic
 from pm3dof_pin.elastic.batch import elastic_model, evaluate
 from pm3dof_pin.elastic.traced import elastic_program
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.error_sums import KinematicSum, kinematic_sum, kinematic_sum_program
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.errors.sensitivity_program import at_zero_errors
+from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.degrees_of_freedom import scaled_closures
@@ -277,11 +279,25 @@ def _constraint_jacobian(robot: Robot) -> Described:
     return Described(text, "constraints, velocities", shape, only, found.parameters, reference)
 
 
-def _error_sensitivities(robot: Robot) -> Described:
+def _errors(robot: Robot) -> GeometricErrors:
+    """Return the errors of the robot's error file, or else all, that leave its loops closable."""
     robot.frame_name()
     file = None if robot.files is None else robot.files.errors
     declared = GeometricErrors(robot) if file is None or not file.is_file() else GeometricErrors.from_file(robot, file)
-    errors = closable(declared, robot.at([robot.home.q]))
+    return closable(declared, robot.at([robot.home.q]))
+
+
+def _geometric_error(name: KinematicSum, text: str) -> Callable[[Robot], Described]:
+    def described(robot: Robot) -> Described:
+        sources = ErrorSources(_errors(robot))
+        found = kinematic_sum_program(sources, name)
+        return _bound(found, text, "", (), lambda poses: kinematic_sum(sources, poses, name, engine="pinocchio").values)
+
+    return described
+
+
+def _error_sensitivities(robot: Robot) -> Described:
+    errors = _errors(robot)
     program, parameters = at_zero_errors(errors)
     count = len(errors)
     places = [*range(6 * count), program.slices["sound"].start]
@@ -348,6 +364,11 @@ QUANTITIES: dict[str, Callable[[Robot], Described]] = {
     "coordinate_weight": _weight_felt,
     "vibrations": _vibrations,
     "error_sensitivities": _error_sensitivities,
+    "geometric_error": _geometric_error("tip_rms", "the tip error due to geometry, root mean square over machines [m]"),
+    "geometric_error_bound": _geometric_error("worst_tip", "a bound of the tip error due to geometry [m]"),
+    "geometric_error_left": _geometric_error(
+        "left_rms", "the tip error due to geometry that no command can undo, root mean square over machines [m]"
+    ),
     "constraint_jacobian": _constraint_jacobian,
 }
 """Makers of quantities that are functions of q alone, by name."""

@@ -518,7 +518,8 @@ def _definition(name: str, described: Described | None, to: Library) -> str:
     if described is None:
         text = _TEXTS[name]
     else:
-        text = docstring(f"Return {described.text}, at coordinates, shape=(..., {described.axes}).")
+        shape = f"..., {described.axes}" if described.axes else "..."
+        text = docstring(f"Return {described.text}, at coordinates, shape=({shape}).")
         if len(described.program.results) == np.prod(described.shape):
             source = "found"
     first = f"    found = _{name}(q, p)\n" if "found" in source else ""

@@ -18,6 +18,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
+from pm3dof_pin.export.function_quantities import KINEMATICS, QUANTITIES
 from pm3dof_pin.export.functions import export_functions
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
@@ -149,6 +150,7 @@ def test_every_quantity(name: str, to: str, exported: Exported) -> None:
     expected = {"commands", "coordinates", "jacobian", "joints_by_commands", "mass_matrix", "coordinate_weight"}
     if robot.tool_frame is not None:
         expected |= {"transform", "tool_by_commands", "vibrations", "error_sensitivities", "constraint_jacobian"}
+        expected |= {"geometric_error", "geometric_error_bound", "geometric_error_left"}
     if robot.springs:
         expected |= {"compliance", "axis_compliance", "principal_stiffness", "compliance_by_spring"}
     assert expected <= set(differences)
@@ -189,3 +191,11 @@ def test_natural_frequencies_from_their_program(exported: Exported) -> None:
     squares = np.linalg.eigvalsh(module.vibrations(pose.coordinates))[::-1]
     wanted = natural_modes(ElasticModel(robot), pose.q, count=3).frequencies
     np.testing.assert_allclose(1.0 / (2.0 * np.pi * np.sqrt(squares[: len(wanted)])), wanted, rtol=1e-9)
+
+
+def test_the_page_and_the_help_name_every_quantity(run: Callable[..., Any]) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "command_line.md").read_text(encoding="utf-8")
+    text = run("export", "function", "--of", "nothing").stderr
+    for name in (*KINEMATICS, *QUANTITIES):
+        assert f"`{name}`" in page
+        assert name in text
