@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, require_choice
 from pm3dof_pin.capability.transmission import Transmission
-from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.exceptions import SingularConfigurationError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Mask, Vector
 
@@ -96,11 +96,17 @@ def serial_model(
 
     Raises:
         UnreachablePoseError: no pose of the grid is within limits.
+        SingularConfigurationError: joints and drives determine each other at none of those that are.
         InvalidValueError: the poses are not a grid over the joints, in their order.
     """
     count, axes = len(transmission.joints), transmission.axes
     within = transmission.poses.within_limits & np.isfinite(transmission.jacobian).all(axis=(-2, -1))
     if not within.any():
+        if transmission.poses.within_limits.any():
+            raise SingularConfigurationError(
+                f"{transmission.poses.robot.name}: {', '.join(transmission.joints)} and the drives "
+                f"{', '.join(transmission.drives)} determine each other at no pose of the box"
+            )
         raise UnreachablePoseError(f"{transmission.poses.robot.name}: {_reason(transmission.poses)}")
     rotor = _at(transmission.rotor_inertia, within)
     diagonal = np.einsum("...ii->...i", rotor)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
+import numpy as np
 import typer
 
 from pm3dof_pin.capability.transmission import (
@@ -155,7 +156,11 @@ class TransmissionOptions:
         ranges = [*(self.over or ()), *declared_ranges(robot, others, [points] * len(others))]
         order = [coordinate.name for coordinate in robot.coordinates]
         ranges.sort(key=lambda entry: order.index(entry.name) if entry.name in order else -1)
-        return self._of(robot, robot_grid(robot, ranges))
+        found = self._of(robot, robot_grid(robot, ranges))
+        within = found.poses.within_limits
+        if within.any() and np.isnan(found.jacobian[within]).all():  # at one pose, the error says why
+            self._of(robot, found.poses[tuple(np.argwhere(within)[0])])
+        return found
 
     def write_functions(self, robot: Robot, folder: Path) -> list[Path]:
         """Write the mapping for the libraries of --to, into `functions` of a folder; return the files."""

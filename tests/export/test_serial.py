@@ -193,6 +193,10 @@ def test_what_does_not_work_is_named(run: Answer, tmp_path: Path) -> None:
     both = run("export", "serial", *_ANKLE, "--worst", "--least-wrong", *out)
     assert both.returncode == 2
     assert "one of --worst and --least-wrong" in both.stderr
+    alone = run("export", "serial", "--robot", _ANKLE[1], "--joints", "pitch", "--effort", "40", *out)
+    assert alone.returncode == 1
+    assert "left_motor, right_motor can move with pitch at rest" in alone.stderr
+    assert "--subtree LINK" in alone.stderr
     tool = run("export", "serial", "--robot", "linear_delta", *out)
     assert tool.returncode == 1
     assert "--joints" in tool.stderr
