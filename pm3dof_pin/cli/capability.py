@@ -38,10 +38,10 @@ def capability(
     """Say how hard the tool can push and how fast it can go at a pose: angles in degrees, lengths in metres.
 
     Along and about each axis of the base, to either side, with no other load; "-" where nothing limits it, as the
-    structure alone carries the load. With --wrench, the share of the drives' efforts that these wrenches on the
-    environment leave, and how many times each of them is held; with --twist, how many times as fast the tool can move
-    so. Gravity counts. A pose that breaks a joint limit is still computed, with a message and exit
-    status 1.
+    structure alone carries the load, and "none" where the drives cannot even hold the weight. With --wrench, the share
+    of the drives' efforts that these wrenches on the environment leave, and how many times each of them is held; with
+    --twist, how many times as fast the tool can move so. Gravity counts. A pose that breaks a joint limit is still
+    computed, with a message and exit status 1.
     """
     robot = which.load()
     limits: Any = limits_of_drives(robot, effort=effort, speed=speed) | {"payloads": payloads_of(robot, payload)}
@@ -61,6 +61,8 @@ def capability(
     limits_known = {"--effort": at.effort, "--speed": at.speed}
     if unknown := [name for name, values in limits_known.items() if not np.isfinite(values).all()]:
         message(f"pm3dof: {' and '.join(unknown)}: not described for all drives; results that need them are left out")
+    if not result.get("weight_is_held", True):
+        message("pm3dof: the drives cannot hold the weight at this pose: no force is left")
     print_at_pose(pose, result, _lines(result), as_json=as_json)
 
 
@@ -77,6 +79,7 @@ def _result(at: ToolCapability, wrenches: list[list[float]], twists: list[list[f
         }
         result |= {
             "effort": at.effort,
+            "weight_is_held": bool(at.effort_left(np.zeros(6)) >= 0.0),
             "greatest_force_N": {sign: values[:3] for sign, values in pushes.items()},
             "greatest_torque_N_m": {sign: values[3:] for sign, values in pushes.items()},
             "force_polytope_N": _forces_at_once(at),
@@ -141,10 +144,10 @@ def _lines(result: dict[str, Any]) -> list[str]:
     shares = (result.get(key, []) for key in ("wrenches", "effort_left", "times_held"))
     for entry, left, times in zip(*shares, strict=True):
         state = "is held" if left >= 0.0 else "is not held"
-        words = f"{100.0 * left:.1f} % of the most loaded drive's effort left, at most {times:.4g} times as much"
+        words = f"{100.0 * left:.1f} % of the most loaded drive's effort left, {_times(times)} as much"
         lines.append(f"wrench {_words(entry)} {state}: {words}")
     for entry, times in zip(result.get("twists", []), result.get("times_reached", []), strict=True):
-        lines.append(f"twist {_words(entry)}: at most {times:.4g} times as fast")
+        lines.append(f"twist {_words(entry)}: {_times(times)} as fast")
     return lines
 
 
@@ -153,4 +156,10 @@ def _words(entry: list[float]) -> str:
 
 
 def _number(value: float) -> str:
+    if np.isnan(value):
+        return "none"
     return f"{float(value):.6g}" if np.isfinite(value) else "-"
+
+
+def _times(value: float) -> str:
+    return "any number of times" if np.isinf(value) else f"at most {value:.4g} times"

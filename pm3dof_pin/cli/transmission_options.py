@@ -112,7 +112,7 @@ class TransmissionOptions:
             part = joint_driven(part, _names(self.joints))
         except (JointNotFoundError, FrameNotFoundError, InvalidValueError) as error:
             raise typer.BadParameter(str(error)) from error
-        if {c.name for c in part.coordinates} == {command.name for command in part.commands}:
+        if part.commands and {c.name for c in part.coordinates} == {command.name for command in part.commands}:
             message(
                 "pm3dof: these coordinates are the drives' own: name the joints of the serial model with --joints A,B, "
                 "and one leg of several with --subtree LINK"

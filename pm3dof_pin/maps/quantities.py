@@ -49,6 +49,10 @@ def select_quantities(names: Iterable[str], mapped: MappedRobot | None = None) -
     known = {name: entry for name, entry in QUANTITIES.items() if mapped is None or entry.exists(mapped)}
     selected = tuple(dict.fromkeys(names))
     unknown = [name for name in selected if name not in known]
+    if mapped is not None and (absent := [name for name in unknown if name in QUANTITIES]):
+        lacks = "it lacks what they need, as springs, a tool or limits of the drives"
+        has = ", ".join(known)
+        raise InvalidValueError(mapped.robot.name, problem=f"has no {', '.join(absent)} ({lacks})", expected=has)
     if unknown or not selected:
         raise InvalidValueError("quantities", ", ".join(unknown) or "none", f"some of {', '.join(known)}")
     return tuple(known[name] for name in selected)

@@ -149,6 +149,14 @@ def test_the_command(answer: Callable[..., Any]) -> None:
     assert corners[:, 2].max() == pytest.approx(np.abs(at.tool_rates[2]) @ at.speed)  # all drives at full speed
 
 
+def test_the_command_says_that_the_weight_is_not_held(run: Callable[..., Any]) -> None:
+    result = run("capability", "--effort", "10", "--payload", "5")
+    assert "cannot hold the weight" in result.stderr
+    assert "none" in result.stdout
+    found = run("capability", "--effort", "10", "--payload", "5", "--json")
+    assert '"weight_is_held": false' in found.stdout
+
+
 def test_the_wrench_feasible_workspace(answer: Callable[..., Any], tmp_path: Path) -> None:
     """By the torques that balance each wrench and the weight, of virtual power at every pose of a grid."""
     ranges = [
