@@ -14,7 +14,7 @@ import numpy as np
 
 from pm3dof_pin.typing import Array
 
-_NEARLY_ALONE = 1e-4
+_NEARLY_ALONE = 1e-7
 """If less of some direction's information remains without a pose, it is computed anew: a difference would cancel."""
 
 

@@ -124,7 +124,7 @@ class VibratingSystem:
     def covariance(self, edges: Sequence[float], levels: Sequence[float], outputs: Matrix, inputs: Matrix) -> Matrix:
         """Return the covariance of outputs under independent random inputs of the same spectrum, shape=(o, o).
 
-        The poles s_k of the state-space form make G = sum_k R_k / (i omega - s_k), and of each pair of poles the
+        The poles s_k of the state-space form make G = sum_k c_k b_k^T / (i omega - s_k), and of each pair of poles the
         integral over a band is a difference of logarithms.
 
         Args:
@@ -138,11 +138,11 @@ class VibratingSystem:
         """
         if np.abs((outputs @ self.free_motions) @ (inputs @ self.free_motions).T).max(initial=0.0) > SOLVED:
             raise FreeDirectionError(f"{self.model.rigid.name}: the input moves the output with all springs at rest")
-        poles, residues = self._residues(outputs, inputs)
+        poles, seen, excited = self._residues(outputs, inputs)
         logarithms = np.log(2j * np.pi * np.asarray(edges, dtype=float)[:, None] - poles)
         bands = -1j / (2.0 * np.pi) * np.tensordot(np.array(levels), np.diff(logarithms, axis=0), axes=1)
         pairs = -(bands[:, None] + bands.conj()) / (poles[:, None] + poles.conj())
-        products = np.einsum("kl,koi,lpi->op", pairs, residues, residues.conj()).real
+        products = (seen @ (pairs * (excited @ excited.conj().T)) @ seen.conj().T).real
         covariance: Matrix = 0.5 * (products + products.T)
         return covariance
 
@@ -159,13 +159,13 @@ class VibratingSystem:
         poles, right = np.linalg.eig(state)
         return kept, poles, right, np.linalg.inv(right)
 
-    def _residues(self, outputs: Matrix, inputs: Matrix) -> tuple[Array, Array]:
-        """Return poles of the modes with mass, shape=(2 e,), and residues of G, shape=(2 e, o, i)."""
+    def _residues(self, outputs: Matrix, inputs: Matrix) -> tuple[Array, Matrix, Matrix]:
+        """Return poles of the modes with mass, shape=(2 e,), and the factors c, (o, 2 e), and b, (2 e, i), of G there."""
         kept, poles, right, left = self._poles
         roots, size = np.sqrt(self.inverse_squares[kept]), len(poles) // 2
         seen = (outputs @ self.shapes[:, kept] / roots) @ right[:size]
         excited = left[:, size:] @ (inputs @ self.shapes[:, kept] / roots).T
-        return poles, seen.T[:, :, None] * excited[:, None, :]
+        return poles, seen, excited
 
     def _dynamic_stiffness(self, omegas: Vector) -> Array:
         inertia = omegas[:, None, None] ** 2 * np.diag(self.inverse_squares)
