@@ -87,10 +87,14 @@ def quantity_names(robot: Robot) -> Iterator[str]:
         except PM3DofError as error:
             _logger.info("%s has no %s: %s", robot.name, name, error)
             continue
-        if np.isnan(found.program.evaluate([robot.home.q], found.parameters)).any():
-            _logger.info("%s has no %s: it is no number at home", robot.name, name)
-            continue
-        yield name
+        values = found.program.evaluate(program_source(robot).samples, found.parameters)
+        exists = ~np.isnan(values).any(axis=1)
+        if len(found.program.results) > np.prod(found.shape):
+            exists &= values[:, -1] > 0.5
+        if exists.any():
+            yield name
+        else:
+            _logger.info("%s has no %s: it is no number near home", robot.name, name)
 
 
 def _bound(
@@ -289,9 +293,17 @@ def _errors(robot: Robot) -> GeometricErrors:
 
 def _geometric_error(name: KinematicSum, text: str) -> Callable[[Robot], Described]:
     def described(robot: Robot) -> Described:
-        sources = ErrorSources(_errors(robot))
+        errors = _errors(robot)
+        sources, largest = ErrorSources(errors), float(errors.tolerances.max(initial=0.0))
         found = kinematic_sum_program(sources, name)
-        return _bound(found, text, "", (), lambda poses: kinematic_sum(sources, poses, name, engine="pinocchio").values)
+        return _bound(
+            found,
+            text,
+            "",
+            (),
+            lambda poses: kinematic_sum(sources, poses, name, engine="pinocchio").values,
+            least_scale=largest,
+        )
 
     return described
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import require_choice
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.exceptions import InvalidValueError, ProgramError
+from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
 from pm3dof_pin.export.function_quantities import KINEMATICS, Described, quantity, quantity_names
@@ -98,7 +99,7 @@ def _c(controller: Controller, name: str, each: Described, poses: Poses) -> str:
     """Return the function of a quantity at q in C, and its test."""
     robot, function = controller.robot, f"{controller.name}_{name}"
     chosen = robot.solve(poses.coordinates, guess=poses.q, engine="pinocchio")
-    values = _finite(robot, name, each.reference(chosen))
+    rows, values = _referred(robot, name, each, chosen)
     size = values[0].size
     program = dataclasses.replace(each.program, name=function)
     text = c99(
@@ -108,7 +109,7 @@ def _c(controller: Controller, name: str, each: Described, poses: Poses) -> str:
         parameters=each.parameters,
     )
     lines = [text]
-    for word, table in (("golden_q", chosen.q), ("golden", values)):
+    for word, table in (("golden_q", chosen.q[rows]), ("golden", values)):
         lines.append(f"static const double {function}_{word}[{len(table) * table[0].size}] = {{")
         lines += [f"  {', '.join(number(value) for value in row.ravel().tolist())}," for row in table]
         lines += ["};", ""]
@@ -134,10 +135,16 @@ def _scale(values: Array, least: float) -> float:
     return float(max(finite.max(initial=0.0), least)) or 1.0
 
 
-def _finite(robot: Robot, name: str, values: Array) -> Array:
-    if np.isnan(values).any():
+def _referred(robot: Robot, name: str, each: Described, poses: Poses) -> tuple[list[int], Array]:
+    """Return at which poses a quantity exists, for some may be singular for it, and its values there by Pinocchio."""
+    rows, values = [], []
+    for row in range(len(poses)):
+        with suppress(SingularConfigurationError):
+            values.append(each.reference(poses[[row]])[0])
+            rows.append(row)
+    if not rows or np.isnan(values).any():
         raise InvalidValueError(f"{name} of {robot.name}", "no number", "a quantity that exists at its poses")
-    return values
+    return rows, np.array(values)
 
 
 def _module(controller: Controller, of: Sequence[str], described: Mapping[str, Described], to: Library) -> str:
@@ -277,6 +284,7 @@ def _golden(robot: Robot, of: Sequence[str], described: Mapping[str, Described],
     chosen = robot.solve(poses.coordinates[:_GOLDEN], guess=poses.q[:_GOLDEN], engine="pinocchio")
     golden = []
     for name in of:
+        rows = list(range(len(chosen)))
         match name:
             case "commands":
                 values = chosen.commands
@@ -287,8 +295,8 @@ def _golden(robot: Robot, of: Sequence[str], described: Mapping[str, Described],
             case "jacobian":
                 values = jacobian(robot, chosen, of="commands", by="coordinates", engine="pinocchio").values
             case _:
-                values = _finite(robot, name, described[name].reference(chosen))
-        arguments = chosen.commands if name == "coordinates" else chosen.coordinates
+                rows, values = _referred(robot, name, described[name], chosen)
+        arguments = (chosen.commands if name == "coordinates" else chosen.coordinates)[rows]
         scale = _scale(values, described[name].least_scale if name in described else 0.0)
         text = repr(values.tolist()).replace("inf", 'float("inf")')
         golden.append(f"{name!r}: ({arguments.tolist()!r}, {text}, {scale!r})")

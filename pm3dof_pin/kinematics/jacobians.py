@@ -221,7 +221,7 @@ class ReferenceMotions:
         self._configuration, self._of, self._by = configuration, of, by
         dof = DegreesOfFreedom(configuration)
         robot = configuration.mechanism
-        scales = [self._scale(rate) for rate in (*of, *by)]
+        scales = [self._scale(rate) * abs(rate.scale) for rate in (*of, *by)]  # counters may have any unit
         self._row_scale, self._column_scale = np.split(np.array(scales), [len(of)])
         wanted = self._rows(of) * dof.scale / self._row_scale[:, None]
         given = dof.over(self._rows(by) * dof.scale / self._column_scale[:, None])
@@ -385,7 +385,10 @@ def recorded_motions(tree: Tree, by: Sequence[Rate], of: Sequence[Rate], doubt: 
     unit, slides = robot.length_unit, tree.slides
     basis = closed_motions(tree, [], range(robot.model.nv), unit, doubt).idle
     basis[slides] = basis[slides] * unit
-    factors = [np.array([[1.0 / unit if rate.unit == "m/s" else 1.0] for rate in rates]) for rates in (of, by)]
+    factors = [
+        np.array([[1.0 / ((unit if rate.unit == "m/s" else 1.0) * abs(rate.scale))] for rate in rates])
+        for rates in (of, by)
+    ]
     wanted, given = (_rows(tree, rates) * scale for rates, scale in zip((of, by), factors, strict=True))
     solved = eliminate(product(given, basis), range(basis.shape[1]), doubt)
     pivots, dropped = list(solved.columns), list(solved.dropped)

@@ -139,7 +139,14 @@ def test_c_and_refusals(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "to"),
-    [("five_bar", "numpy"), ("ankle_rus", "numpy"), ("ankle", "torch"), ("five_bar", "torch"), ("five_bar", "casadi")],
+    [
+        ("five_bar", "numpy"),
+        ("ankle_rus", "numpy"),
+        ("ankle", "torch"),
+        ("five_bar", "torch"),
+        ("five_bar", "casadi"),
+        ("three_rpr", "numpy"),
+    ],
 )
 def test_every_quantity(name: str, to: str, exported: Exported) -> None:
     if to != "numpy":

@@ -109,3 +109,14 @@ def test_singular_poses_say_so() -> None:
     with pytest.raises(SingularConfigurationError, match="rest"):
         jacobian(hexapod, turned, of="tool", by="commands")
     assert np.isnan(jacobian(hexapod, turned, of="tool", by="commands", on_failure="nan").values).all()
+
+
+def test_counters_in_micrometres_determine_the_pose() -> None:
+    """A counter of another unit makes no configuration singular: J of the coordinates by commands is the inverse."""
+    robot = pm.load(_MACHINES / "three_rpr")
+    assert robot.command_coordinates[0].scale == -1e6
+    poses = pm.reachable_poses(robot, 20, np.random.default_rng(3))
+    for engine in ("program", "pinocchio"):
+        there = pm.jacobian(robot, poses, of="commands", by="coordinates", engine=engine).values
+        back = pm.jacobian(robot, poses, of="coordinates", by="commands", engine=engine).values
+        np.testing.assert_allclose(there @ back, np.broadcast_to(np.eye(3), there.shape), atol=1e-8)
