@@ -160,7 +160,7 @@ class VibratingSystem:
         return kept, poles, right, np.linalg.inv(right)
 
     def _residues(self, outputs: Matrix, inputs: Matrix) -> tuple[Array, Matrix, Matrix]:
-        """Return poles of the modes with mass, shape=(2 e,), and the factors c, (o, 2 e), and b, (2 e, i), of G there."""
+        """Return poles of the modes with mass, shape=(2 e,), and factors c, (o, 2 e), and b, (2 e, i), of G."""
         kept, poles, right, left = self._poles
         roots, size = np.sqrt(self.inverse_squares[kept]), len(poles) // 2
         seen = (outputs @ self.shapes[:, kept] / roots) @ right[:size]

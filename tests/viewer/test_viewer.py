@@ -189,9 +189,9 @@ def test_a_turntable_goes_around(browser: object, mechanism: Robot, tmp_path: Pa
 @pytest.mark.browser
 def test_a_path_is_filmed(browser: object, mechanism: Robot, tmp_path: Path) -> None:
     """As many frames as poses, in the path's own time; the machine moves between them."""
-    import shutil
-
     from PIL import Image
+
+    from pm3dof_pin.viewer import film
 
     viewer = Viewer(mechanism)
     viewer.play(mechanism.solve([[0.0, 0.0, z] for z in (0.46, 0.49, 0.52)]), duration=1.5)
@@ -202,9 +202,9 @@ def test_a_path_is_filmed(browser: object, mechanism: Robot, tmp_path: Path) -> 
     assert np.abs(first - last).max() > 50.0
     with pytest.raises(InvalidValueError, match=r"\.gif or \.mp4"):
         viewer.record(tmp_path / "path.avi")
-    if shutil.which("ffmpeg"):
-        film = viewer.record(tmp_path / "path.mp4", width=201, height=160).read_bytes()
-        assert film[4:8] == b"ftyp"
+    if film.has_encoder():
+        data = viewer.record(tmp_path / "path.mp4", width=201, height=160).read_bytes()
+        assert data[4:8] == b"ftyp"
 
 
 @pytest.mark.browser
