@@ -31,7 +31,7 @@ from pm3dof_pin.figures.style import (
     towards_viewer,
 )
 from pm3dof_pin.maps.limit_space import Flags
-from pm3dof_pin.maps.workspace import Workspace, WorkspaceSection
+from pm3dof_pin.maps.workspace import Workspace, WorkspaceSection, round_levels
 from pm3dof_pin.typing import Array
 
 _SMOOTHING = 12  # steps in and out
@@ -193,10 +193,14 @@ class _Sheet:
 
     @cached_property
     def sections(self) -> list[WorkspaceSection]:
-        """Return the sections whose outlines are drawn: equally spaced, without the ends."""
+        """Return the sections whose outlines are drawn: at round levels, or else equally spaced without the ends."""
         sections = self.workspace.sections
         if len(sections) == 1:
             return list(sections)
+        rounded = round_levels(self.workspace.level_range, self.units[2])
+        found = [s for s in sections if not s.empty and np.isclose(s.level, rounded, rtol=1e-9, atol=1e-12).any()]
+        if len(found) > 1:
+            return found
         indices = np.linspace(0, len(sections) - 1, _OUTLINES + 2).round().astype(int)[1:-1]
         return [sections[index] for index in np.unique(indices) if not sections[index].empty]
 
@@ -316,8 +320,7 @@ def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
             x, y = points[int((place + 0.25) * len(points) / len(sheet.sections))]
             box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
             level = float(drawn(section.level, sheet.units[2]))
-            text = f"{level:.3f}" if sheet.units[2] == "m" else f"{level:.1f}"
-            text = text.replace("-", "\N{MINUS SIGN}")
+            text = f"{level:.4g}".replace("-", "\N{MINUS SIGN}")
             axes.text(x, y, text, fontsize=6.5, ha="center", va="center", bbox=box)
     if sheet.workspace.space.stacked:
         axes.set_title(f"on the lines: {sheet.labels[2]}", fontsize=7.0, pad=3.0)

@@ -7,6 +7,7 @@ set may have any shape, with holes and several parts; parts thinner than a cell 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -35,6 +36,7 @@ _COARSER = 1e4
 _HALVINGS = 7  # per patch
 _BOUNDARY_HALVINGS, _FEW_HALVINGS = 12, 7  # of the side of a cell
 _FEWEST_DIRECTIONS = 8
+_ROUND_LEVELS = 8
 _INTERVAL_POINTS, _PRECISE = 4001, 32  # over a single coordinate: points, and halvings of a step at an end
 
 
@@ -192,12 +194,29 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
     level_range = ends[2] if space.stacked else np.zeros(2)
     if space.stacked and isinstance(levels, int):
         given = np.linspace(level_range[0], level_range[1], levels)
+        rounded = round_levels(level_range, space.units[2])
+        if 3 * len(rounded) <= levels:  # in place of the nearest
+            given[np.abs(given[:, None] - rounded).argmin(axis=0)] = rounded
     sections = tuple(_sections(space, given, inside, cell, directions))
     if space.stacked and all(section.empty for section in sections):
         name, unit = space.names[2], space.units[2]
         place = f"{name} = {given[0]:g} {unit} and {given[-1]:g} {unit}"
         raise UnreachablePoseError(f"no pose between {place} is within the limits")
     return Workspace(space, level_range, sections, ends[:2], places[:2, :, 2] if space.stacked else np.zeros((2, 2)))
+
+
+def round_levels(ends: ArrayLike, unit: str) -> Array:
+    """Return the levels between two that are round numbers of metres or degrees, at most eight [m, rad]."""
+    factor = np.degrees(1.0) if unit == "rad" else 1.0
+    low, high = factor * np.asarray(ends, dtype=float)
+    size = high - low
+    steps = (
+        digit * 10.0**power for power in range(math.floor(math.log10(size)) - 1, 99) for digit in (1.0, 2.0, 2.5, 5.0)
+    )
+    step = next(step for step in steps if (high - low) / step <= _ROUND_LEVELS)
+    whole = np.arange(math.ceil(low / step), math.floor(high / step) + 1)
+    values = whole * step
+    return values[(values > low + 0.02 * size) & (values < high - 0.02 * size)] / factor
 
 
 class Interval(NamedTuple):
