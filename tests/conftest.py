@@ -342,3 +342,13 @@ def case(request: pytest.FixtureRequest, cases: dict[str, Poses]) -> Poses:
     """Poses of one robot of :func:`cases` after the other."""
     poses: Poses = cases[request.param]
     return poses
+
+
+@pytest.fixture
+def programs_for_few_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let programs compute the few poses for which Pinocchio would be as fast."""
+    from pm3dof_pin.dynamics import batch
+    from pm3dof_pin.errors import error_sums, sensitivity
+
+    for module in (batch, error_sums, sensitivity):
+        monkeypatch.setattr(module, "_PROGRAM_FROM", 0)

@@ -14,13 +14,13 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.errors.command_correction import command_scales
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.poses import Poses
@@ -41,16 +41,18 @@ def stacked_regressor(
     poses: Poses,
     instrument: Instrument | None = None,
     elastic: ElasticTerm | None = None,
+    found: Sensitivities | None = None,
 ) -> tuple[Array, Array, Nuisances]:
     """Return the scaled regressor (spring stiffness after the parameters), the nuisance rows and the nuisances.
 
     The nuisance rows, shape=(n, rows of a pose, k), are in units of the nuisance parameters' scales. `elastic` holds
-    the known wrenches at these poses.
+    the known wrenches at these poses, `found` their sensitivities, if they are known already and no joint is read.
     """
     measurements = planned_measurements(poses, instrument or Instrument())
     rows = np.arange(len(measurements)) // (len(measurements) // len(poses))
     nuisances = Nuisances.from_measurements(measurements, tuple(command.unit for command in errors.robot.commands))
-    found = sensitivities(errors, poses, joints=tuple(measurements.joints))
+    if found is None or measurements.joints:
+        found = sensitivities(errors, poses, joints=tuple(measurements.joints))
     drives = (found.commands * np.abs(command_scales(poses)))[rows]
     at_rows, of_a_pose = poses[rows], measurements.sigmas.size // len(poses)
 
@@ -160,24 +162,30 @@ class Identifiability:
         return ObservabilityIndices.from_singular_values(self.decision.singular_values[: self.rank], self.poses)
 
 
-def _rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDArray[np.intp]:
-    """Return the rank after the first pose, the first two, and so on, shape=(n,)."""
-    blocks = np.asarray(regressor, dtype=float)
-    others = np.zeros((*blocks.shape[:2], 0)) if nuisances is None else np.asarray(nuisances, dtype=float)
-    ranks = []
-    for count in range(1, len(blocks) + 1):
-        values = np.linalg.svd(_beside(blocks[:count], others[:count]), compute_uv=False)
-        ranks.append(int(np.sum(values > REGRESSOR_TOLERANCE * values.max(initial=0.0))))
-    return np.array(ranks, dtype=np.intp)
+def _rank(blocks: Array, nuisances: Array) -> int:
+    """Return the rank of the regressor of some poses, beside nuisances."""
+    values = np.linalg.svd(_beside(blocks, nuisances), compute_uv=False)
+    return int(np.sum(values > REGRESSOR_TOLERANCE * values.max(initial=0.0)))
 
 
 def minimum_poses(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> int:
     """Return the least number of poses in general position that identify as much as all of these.
 
-    Any such poses will do, so the first ones are counted until they have the full rank.
+    Any such poses will do, so it is the number of the first ones that have the full rank. They need at least as many
+    rows, and seldom many more: the search starts there, in steps that double, and ends by bisection.
     """
-    growth = _rank_growth(regressor, nuisances)
-    return int(np.argmax(growth == growth[-1])) + 1
+    blocks = np.asarray(regressor, dtype=float)
+    others = np.zeros((*blocks.shape[:2], 0)) if nuisances is None else np.asarray(nuisances, dtype=float)
+    full = _rank(blocks, others)
+    too_few: int = max(0, -(-full // blocks.shape[1]) - 1)
+    enough, step = min(len(blocks), too_few + 1), 1
+    while enough < len(blocks) and _rank(blocks[:enough], others[:enough]) < full:
+        too_few, enough, step = enough, min(len(blocks), enough + step), 2 * step
+    while enough - too_few > 1:
+        middle = (too_few + enough) // 2
+        is_full = _rank(blocks[:middle], others[:middle]) == full
+        too_few, enough = (too_few, middle) if is_full else (middle, enough)
+    return enough
 
 
 def _direction_name(names: Sequence[str], direction: Array) -> str:

@@ -54,6 +54,13 @@ TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)
 """Numbers of poses tried until an accuracy is reached."""
 SEEDS = range(10)
 
+CANDIDATES = 2000
+"""Number of random poses to choose from."""
+FEWER_CANDIDATES = 500
+"""The same for robots of more than :data:`MANY_PARAMETERS`, where exchanging and judging one takes long."""
+MANY_PARAMETERS = 300
+
+_STARTS, _FEWER_STARTS = 10, 3  # of exchanging poses, of robots of few parameters and of many
 _TESTS = 300
 _BEYOND = 1.5  # see MACHINES
 _ROUNDS = 8  # of replacing poses at which some machine cannot be assembled
@@ -133,7 +140,7 @@ def plan_measurements(
     strategy: Strategy | None = None,
     accuracy: float | None = None,
     among: Poses | None = None,
-    candidates: int = 2000,
+    candidates: int | None = None,
     margin: float = 0.0,
     min_distance: float = MIN_DISTANCE,
     prior: float = 3.0,
@@ -166,7 +173,7 @@ def plan_measurements(
         strategy: another strategy.
         accuracy: instead of a number of poses: the excess tip error over the best commands to reach, rms [m].
         among: poses to choose from, by default random ones.
-        candidates: number of these.
+        candidates: number of these, by default :data:`CANDIDATES` or :data:`FEWER_CANDIDATES`.
         margin: part of each coordinate's range to exclude at either end.
         min_distance: see :data:`~pm3dof_pin.calibration.planning.MIN_DISTANCE`.
         prior: prior standard deviation of the parameters, in tolerances.
@@ -180,7 +187,8 @@ def plan_measurements(
         UnreachablePoseError: the instrument is out of reach, or hardly any candidate can be assembled.
     """
     generator = np.random.default_rng(seed)
-    robot = errors.robot
+    robot, many = errors.robot, len(errors) > MANY_PARAMETERS
+    candidates = candidates or (FEWER_CANDIDATES if many else CANDIDATES)
     drawn = among
     if drawn is None:
         drawn = _declared(reachable_poses(robot, candidates, generator, margin=margin))
@@ -227,7 +235,8 @@ def plan_measurements(
         )
         tried = _rehearsed(problem, chosen, method, poses, accuracy, seed) if whole else {}
         count = max(tried, default=poses or DEFAULT_POSES)
-        plan = problem.plan(count, chosen, np.random.default_rng(seed))
+        starts = _FEWER_STARTS if many else _STARTS
+        plan = problem.plan(count, chosen, np.random.default_rng(seed), restarts=starts)
         open_ = ~_assembled(errors, plan.poses, machines, seed)
         if not open_.any():
             break

@@ -172,11 +172,11 @@ class PlanningProblem:
         self.instrument = instrument or Instrument()
         elastic = ElasticTerm.under(errors.robot, wrenches)
         self.unknowns, self.tolerances = elastic.with_parameters(errors)
+        candidate_map = error_map(errors, candidates, eta=eta)
         self.regressor, self.nuisance_regressor, self.nuisances = stacked_regressor(
-            errors, candidates, self.instrument, elastic
+            errors, candidates, self.instrument, elastic, candidate_map.sensitivities
         )
         self._rows = np.concatenate([self.regressor, self.nuisance_regressor], axis=2)
-        candidate_map = error_map(errors, candidates, eta=eta)
         tests = candidate_map if test_poses is None else error_map(errors, test_poses, eta=eta)
         self.measured, self.tested = (_PlannedPoses.under(each, wrenches) for each in (candidate_map, tests))
         # base and tool are as the measurements define them

@@ -8,7 +8,14 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import typer
 
-from pm3dof_pin.calibration.measurement_plan import MeasurementPlan, plan_measurements, seeds
+from pm3dof_pin.calibration.measurement_plan import (
+    CANDIDATES,
+    FEWER_CANDIDATES,
+    MANY_PARAMETERS,
+    MeasurementPlan,
+    plan_measurements,
+    seeds,
+)
 from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
 from pm3dof_pin.cli.calibrate import MethodName
 from pm3dof_pin.cli.error_options import RobotErrorsOptions
@@ -70,7 +77,14 @@ def calibration_plan(
             help="Order the poses at random and repeat one pose first, after every N others, and last, to show drift.",
         ),
     ] = None,
-    candidates: Annotated[int, typer.Option(min=2, help="Number of random poses to choose from.")] = 2000,
+    candidates: Annotated[
+        int | None,
+        typer.Option(
+            min=2,
+            help=f"Number of random poses to choose from ({CANDIDATES}; {FEWER_CANDIDATES} with more than "
+            f"{MANY_PARAMETERS} parameters).",
+        ),
+    ] = None,
     margin: Annotated[
         float, typer.Option(min=0.0, max=0.4, help="Fraction of each coordinate's range left out at either end.")
     ] = 0.0,

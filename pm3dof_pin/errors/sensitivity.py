@@ -31,8 +31,9 @@ from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.mechanism.closure_wrenches import held_directions
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.programs.geometry import frame_names
-from pm3dof_pin.typing import Array, Engine, Mask, Vector
+from pm3dof_pin.typing import Array, Engine, Indices, Mask, Vector
 
 _POSES_TO_CLOSE_TOGETHER = 3
 _SMALL = 1e-3  # largest errors [m, rad] with which closing is tested; displacements by other causes have unit size
@@ -40,7 +41,9 @@ _POSES_TO_CLOSE_AT = 20  # at a single pose, such as a symmetric home, more erro
 logger = logging.getLogger(__name__)
 
 _SOUND = 1e-2 / RANK_TOLERANCE  # a square matrix of lower condition has no singular value near the tolerance
-_PROGRAM_FROM = 100  # poses: with fewer, a calibration with Pinocchio is as fast as tracing and compiling
+_PROGRAM_FROM = 1000
+"""Poses: tracing and compiling takes as long as some 1,600 to 5,500 with Pinocchio, of small robots and large ones."""
+_NUMBERS = 2e7  # that are computed at once with Pinocchio
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +114,11 @@ def sensitivities(
         else:
             doubtful = np.flatnonzero(~sound)
             if doubtful.size:
-                motions = _careful_motions(errors, poses[doubtful], p)
+                motions = _careful_motions(errors, poses, p, doubtful)
                 by_errors[doubtful], by_drives[doubtful] = np.split(motions, [len(errors)], axis=2)
             return _of_motions(poses, by_errors, by_drives)
-    return _of_motions(poses, *np.split(_careful_motions(errors, poses, p), [len(errors)], axis=2))
+    motions = _careful_motions(errors, poses, p, np.arange(len(poses)))
+    return _of_motions(poses, *np.split(motions, [len(errors)], axis=2))
 
 
 def _of_motions(poses: Poses, by_errors: Array, by_drives: Array) -> Sensitivities:
@@ -122,13 +126,30 @@ def _of_motions(poses: Poses, by_errors: Array, by_drives: Array) -> Sensitiviti
     return Sensitivities(frozen(by_errors), frozen(by_commands))
 
 
-def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array) -> Array:
-    """Return the tool's motion by one unit of each error, then of each drive's coordinate, shape=(n, 6, k + u)."""
-    loops = _Loops(errors, poses, p)
+def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array, numbers: Indices) -> Array:
+    """Return the tool's motion by one unit of each error, then of each drive's coordinate, at poses by number.
+
+    Its shape is (numbers, 6, k + u). The poses are taken in blocks, whose matrices fit into memory.
+    """
+    robot = poses.robot
+    columns = robot.model.nv + len(errors)
+    size = columns * (robot.model.nv + robot.closure_scale.size + 24)
+    motions = np.empty((len(numbers), 6, len(errors) + len(robot.actuated_indices)))
+    block = max(1, int(_NUMBERS / size))
+    for start in range(0, len(numbers), block):
+        own = numbers[start : start + block]
+        motions[start : start + block] = _block_motions(_Loops(errors, poses[own], p, own))
+    return motions
+
+
+def _block_motions(loops: _Loops) -> Array:
+    found = loops.regular_motions()
+    if found is not None:
+        return found
     rates, strain = loops.followed_rates()
     strained = np.flatnonzero(strain.max(axis=0, initial=0.0) > RANK_TOLERANCE)
     if strained.size:
-        names = ", ".join(errors.names[k - len(poses.robot.actuated_joints)] for k in strained)
+        names = ", ".join(loops.input_names[k] for k in strained)
         raise InvalidValueError(
             "geometric errors", names, "errors with which the loops close (closable() leaves out the others)"
         )
@@ -188,13 +209,45 @@ class _Loops:
     part at the world's origin, world axes.
     """
 
-    def __init__(self, errors: GeometricErrors, poses: Poses, values: ArrayLike | Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        errors: GeometricErrors,
+        poses: Poses,
+        values: ArrayLike | Mapping[str, float],
+        numbers: Indices | None = None,
+    ) -> None:
+        """Take poses, and by what numbers messages name them."""
         self._errors = errors
+        self._numbers = np.arange(len(poses)) if numbers is None else numbers
         self._robot = poses.robot
         self._model = poses.robot.model
         self._q = poses.q
         self._joints, twists = _tree(self._model, poses.q, self._carriers())
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of drives and errors."""
+        return (*self._robot.actuated_joints, *self._errors.names)
+
+    def regular_motions(self) -> Array | None:
+        """Return what :meth:`tool_motions` does, where as many closures as passive joints are regular at every pose.
+
+        The closures take part by their six covectors at the tool, not by the rates of all joints: otherwise most of
+        the time of large robots.
+        """
+        robot, nv = self._robot, self._model.nv
+        free = robot.passive_indices
+        if not robot.has_loops or len(free) != robot.closure_scale.size:
+            return None
+        scale = robot.velocity_scale[free]
+        closures = self._closures() / robot.closure_scale[:, None]
+        inverse, sound = _inverses(closures[:, :, free] * scale)
+        if not sound.all():
+            return None
+        inputs, tool = np.concatenate([np.arange(nv, self._columns.shape[2]), robot.actuated_indices]), self._tool()
+        covectors = (tool[:, :, free] * scale) @ inverse
+        return np.asarray((tool - covectors @ closures)[:, :, inputs])
 
     def strains(self) -> Array:
         """Return the scaled closure error that each error leaves at the worst pose, shape=(errors,)."""
@@ -264,7 +317,8 @@ class _Loops:
         noise = RANK_TOLERANCE * np.abs(pushed).max(axis=(1, 2), initial=0.0)
         singular = np.flatnonzero((sizes > noise[:, None]).sum(axis=1) != excess)
         if singular.size:
-            raise SingularConfigurationError(f"{robot.name}: its drives lose or gain a relation at pose {singular[0]}")
+            where = self._numbers[singular[0]]
+            raise SingularConfigurationError(f"{robot.name}: its drives lose or gain a relation at pose {where}")
         given = -(np.linalg.pinv(by_drives, rcond=0.5 * sizes[:, excess - 1 : excess].min() / sizes.max()) @ unmet)
         given *= give[:, None]
         followed = -(inverse @ (pushed + pushed[:, :, : len(driven)] @ given))
@@ -314,7 +368,9 @@ class _Loops:
         blocks = []
         for loop in self._robot.closures:
             a, b = (self._robot.frame_id(name) for name in (loop.frame_a, loop.frame_b))
-            relative = self._columns * (self._errors.movers(b) - self._errors.movers(a))
+            movers = self._errors.movers(b) - self._errors.movers(a)
+            moving = np.flatnonzero(movers)  # few of a large robot
+            relative = self._columns[:, :, moving] * movers[moving]
             at_a, at_b = self._frame(a), self._frame(b)
             axes = [(at[:, :3, :3] @ turn).T for at, turn in zip((at_a, at_b), _bases(loop), strict=True)]
             between = (at_b - at_a)[:, :3, 3]
@@ -324,7 +380,9 @@ class _Loops:
             linear = relative[:, :3] + _crossed(angular, at_b[:, :3, 3, None])
             for directions, part in ((along, linear), (about, angular)):
                 if directions:
-                    blocks.append(np.einsum("kin,nij->nkj", np.array(directions), part))
+                    rows = np.zeros((len(self._columns), len(directions), self._columns.shape[2]))
+                    rows[:, :, moving] = np.einsum("kin,nij->nkj", np.array(directions), part)
+                    blocks.append(rows)
         for coupled in self._robot.loop_kinematics.couplings:
             rows = np.zeros((len(self._columns), 1, self._columns.shape[2]))
             rows[:, 0, coupled.joint.v_index] = 1.0
@@ -349,7 +407,7 @@ class _Loops:
         if loose.size:
             raise SingularConfigurationError(
                 f"{self._robot.name}: the tool can move with all drives locked at pose "
-                f"{', '.join(map(str, loose[:5]))}{' ...' if loose.size > 5 else ''} of {len(tool)}"
+                f"{', '.join(map(str, self._numbers[loose[:5]]))}{' ...' if loose.size > 5 else ''}"
             )
 
 
@@ -374,7 +432,7 @@ def _crossed(a: Array, b: Array) -> Array:
 
 def _tree(model: pin.Model, q: Array, joints: list[int]) -> tuple[Array, Array]:
     """Return placements of some joints, shape=(n, all joints, 4, 4), and the twists of all velocities, (n, 6, nv)."""
-    data = model.createData()
+    data = scratch_data(model)
     placements = np.empty((len(q), model.njoints, 4, 4))
     twists = np.empty((len(q), 6, model.nv))
     for row, positions in enumerate(q):

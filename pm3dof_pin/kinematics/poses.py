@@ -14,6 +14,7 @@ from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.branches import branches_of
 from pm3dof_pin.mechanism.configuration import LIMIT_TOLERANCE, Configuration
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.typing import Array, Mask
 
 if TYPE_CHECKING:
@@ -131,9 +132,10 @@ class Poses:
         Raises:
             DescriptionError: the robot has no tool frame.
         """
-        model, data, frame = self.robot.model, self.robot.model.createData(), self.robot.tool_frame_id
+        model, frame = self.robot.model, self.robot.tool_frame_id
         if "residual" in self.__dict__:  # solved by programs, which can also place the tool
             return self.robot.at(self.q).transforms
+        data = scratch_data(model)
         transforms = np.full((*self.shape, 4, 4), np.nan)
         for index in map(tuple, np.argwhere(self.solved)):
             pin.forwardKinematics(model, data, self.q[index])

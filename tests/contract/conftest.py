@@ -100,13 +100,3 @@ def pm3dof(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], t
         return Done(code, out, err)
 
     return run
-
-
-@pytest.fixture
-def programs_for_few_poses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let programs compute the few poses for which Pinocchio would be as fast."""
-    from pm3dof_pin.dynamics import batch
-    from pm3dof_pin.errors import error_sums, sensitivity
-
-    for module in (batch, error_sums, sensitivity):
-        monkeypatch.setattr(module, "_PROGRAM_FROM", 0)

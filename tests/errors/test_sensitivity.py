@@ -175,6 +175,7 @@ def test_frames_inside_frames_move_together() -> None:
     )
 
 
+@pytest.mark.usefixtures("programs_for_few_poses")
 @pytest.mark.parametrize("robot", ["pm3dof", "hexapod", "three_rps"])
 def test_the_program_is_the_careful_engine(robot: str) -> None:
     described = Robot.load(robot)
@@ -189,6 +190,7 @@ def test_the_program_is_the_careful_engine(robot: str) -> None:
         assert not np.array_equal(found.errors, careful.errors)  # two ways round differently: it was not the same one
 
 
+@pytest.mark.usefixtures("programs_for_few_poses")
 @pytest.mark.parametrize("machine", ["four_rrr", "eight legs", "walker"])
 def test_too_many_drives_give_way_by_least_squares(machine: str, tmp_path: Path) -> None:
     """Differences of poses at which the commands of a machine with errors are met best; and both engines."""

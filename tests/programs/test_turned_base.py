@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,16 +21,25 @@ from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs.llvm import Compiled
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import four_bars, scissor
+
 MACHINES = Path(__file__).parents[1] / "machines"
 FOLDERS = {name: robots_directory() / f"{name}_description" for name in robot_names()}
 FOLDERS |= {path.name: path for path in sorted(MACHINES.iterdir()) if (path / f"{path.name}.urdf").exists()}
+DRAWN = {"chain of four-bars": (four_bars, 4), "scissor lift": (scissor, 2)}
 ANGLES, SHIFT = (0.3, -0.7, 1.1), (0.3, -0.2, 0.5)
 
 
 def on_stand(name: str, angles: tuple[float, ...], shift: tuple[float, ...]) -> Robot:
     """Load a robot whose root link is fixed to a stand, by a joint with this placement."""
     with TemporaryDirectory() as temporary:
-        folder = Path(shutil.copytree(FOLDERS[name], Path(temporary) / FOLDERS[name].name))
+        folder = Path(temporary) / name
+        if name in DRAWN:
+            draw, size = DRAWN[name]
+            draw(size).write(folder)
+        else:
+            folder = Path(shutil.copytree(FOLDERS[name], folder.with_name(FOLDERS[name].name)))
         for path in folder.rglob("*.urdf"):
             text = path.read_text(encoding="utf-8")
             links, children = (set(re.findall(rf'<{tag}="([^"]+)"', text)) for tag in ("link name", "child link"))
@@ -73,7 +83,8 @@ def results(name: str, angles: tuple[float, ...], shift: tuple[float, ...]) -> t
     return found, doubtful
 
 
-@pytest.mark.parametrize("name", FOLDERS)
+@pytest.mark.usefixtures("programs_for_few_poses")
+@pytest.mark.parametrize("name", [*FOLDERS, *DRAWN])
 def test_results_and_doubt_do_not_depend_on_where_the_base_stands(name: str) -> None:
     """A closure that is redundant in a plane must be so in any: its rows are rounding errors, not zeros."""
     found, doubtful = results(name, ANGLES, SHIFT)
