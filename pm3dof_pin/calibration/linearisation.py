@@ -232,13 +232,33 @@ class Linearisation:
         inverse = np.linalg.inv(sum(blocks, np.eye(len(sigmas))))
         return np.array([np.sum(block * inverse) for block in blocks])
 
+    @cached_property
+    def _seen(self) -> tuple[Array, Array, Array | None]:
+        """Rows and prior standard deviations of what can be seen, and its directions in the machine's parameters.
+
+        With fewer measured coordinates than parameters, those that are not seen stay at zero: there are as many
+        directions as coordinates, orthogonal in units of the prior, shape=(parameters, directions). Otherwise None.
+        """
+        rows, machine = self.rows.reshape(-1, len(self.sigmas)), len(self.errors) + len(self.elastic.names)
+        if len(rows) >= machine:
+            return rows, self.sigmas, None
+        basis, triangle = np.linalg.qr((rows[:, :machine] * self.sigmas[:machine]).T)
+        sigmas = np.concatenate([np.ones(basis.shape[1]), self.sigmas[machine:]])
+        return np.hstack([triangle.T, rows[:, machine:]]), sigmas, basis
+
     def _solve(self, weights: Array, factors: Array) -> Array:
         scale, count = np.sqrt(weights)[:, None] / (self.kinds @ factors), self.rows.shape[2]
         if np.isfinite(self.prior):
             # with a prior the normal equations are well conditioned, and much faster to reweight
-            weighted = (scale[:, :, None] * self.rows).reshape(-1, count)
-            information = weighted.T @ weighted + np.diag(1.0 / self.sigmas**2)
-            return np.asarray(scipy.linalg.solve(information, weighted.T @ (scale * self._targets).ravel()))
+            rows, sigmas, basis = self._seen
+            weighted = scale.reshape(-1, 1) * rows
+            information = weighted.T @ weighted + np.diag(1.0 / sigmas**2)
+            right = weighted.T @ (scale * self._targets).ravel()
+            found = np.asarray(scipy.linalg.solve(information, right, assume_a="pos"))
+            if basis is None:
+                return found
+            seen = basis.shape[1]
+            return np.concatenate([self.sigmas[: len(basis)] * (basis @ found[:seen]), found[seen:]])
         known_before = self.sigmas < UNKNOWN
         regularised = np.diag(np.where(known_before, 1.0 / self.sigmas, np.sqrt(_DAMPING)))
         matrix = np.concatenate([(scale[:, :, None] * self.rows).reshape(-1, count), regularised])

@@ -319,3 +319,21 @@ def test_nothing_to_identify_with(tripod_errors: GeometricErrors, tripod_nominal
     with pytest.raises(InvalidValueError, match="prior"):
         identify(measurements, tripod_errors, prior=0.0)
     assert identify(measurements, tripod_errors).identifiability.rank == 18
+
+
+def test_fewer_coordinates_than_parameters_are_solved_in_what_they_see(
+    monkeypatch: pytest.MonkeyPatch, tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses
+) -> None:
+    """The same parameters as from the normal equations of all: their number decides only how they are solved."""
+    measurements = simulated(tripod_errors, truth, tripod_nominal[:6], seed=3)
+    found = identify(measurements, tripod_errors)
+
+    def everything(whole: Linearisation) -> tuple[np.ndarray, np.ndarray, None]:
+        return whole.rows.reshape(-1, len(whole.sigmas)), whole.sigmas, None
+
+    assert measurements.sigmas.size < len(tripod_errors)
+    monkeypatch.setattr(Linearisation, "_seen", property(everything))
+    expected = identify(measurements, tripod_errors)
+    np.testing.assert_allclose(
+        found.values / tripod_errors.tolerances, expected.values / tripod_errors.tolerances, atol=1e-6
+    )
