@@ -213,10 +213,11 @@ def round_levels(ends: ArrayLike, unit: str) -> Array:
     steps = (
         digit * 10.0**power for power in range(math.floor(math.log10(size)) - 1, 99) for digit in (1.0, 2.0, 2.5, 5.0)
     )
-    step = next(step for step in steps if (high - low) / step <= _ROUND_LEVELS)
+    step = next(step for step in steps if size / step <= _ROUND_LEVELS)
     whole = np.arange(math.ceil(low / step), math.floor(high / step) + 1)
     values = whole * step
-    return values[(values > low + 0.02 * size) & (values < high - 0.02 * size)] / factor
+    inside = (values > low + 0.02 * size) & (values < high - 0.02 * size)
+    return np.asarray(values[inside] / factor)
 
 
 class Interval(NamedTuple):
