@@ -31,7 +31,7 @@ from pm3dof_pin.figures.style import (
     towards_viewer,
 )
 from pm3dof_pin.maps.limit_space import Flags
-from pm3dof_pin.maps.workspace import Workspace, WorkspaceSection, round_levels
+from pm3dof_pin.maps.workspace import Workspace, WorkspaceSection
 from pm3dof_pin.typing import Array
 
 _SMOOTHING = 12  # steps in and out
@@ -197,8 +197,7 @@ class _Sheet:
         sections = self.workspace.sections
         if len(sections) == 1:
             return list(sections)
-        rounded = round_levels(self.workspace.level_range, self.units[2])
-        found = [s for s in sections if not s.empty and np.isclose(s.level, rounded, rtol=1e-9, atol=1e-12).any()]
+        found = [section for section in self.workspace.outlines if not section.empty]
         if len(found) > 1:
             return found
         indices = np.linspace(0, len(sections) - 1, _OUTLINES + 2).round().astype(int)[1:-1]

@@ -100,6 +100,7 @@ class Workspace:
     sections: tuple[WorkspaceSection, ...]  #: sections by increasing level; a single one for two coordinates
     ranges: Array  #: least and greatest first coordinate, then second, of the whole set, shape=(2, 2) [m, rad]
     range_levels: Array  #: the levels at which they are reached, shape=(2, 2) [m, rad]
+    outlines: tuple[WorkspaceSection, ...] = ()  #: sections at round levels, for drawing
 
     @cached_property
     def levels(self) -> Array:
@@ -194,15 +195,16 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
     level_range = ends[2] if space.stacked else np.zeros(2)
     if space.stacked and isinstance(levels, int):
         given = np.linspace(level_range[0], level_range[1], levels)
-        rounded = round_levels(level_range, space.units[2])
-        if 3 * len(rounded) <= levels:  # in place of the nearest
-            given[np.abs(given[:, None] - rounded).argmin(axis=0)] = rounded
     sections = tuple(_sections(space, given, inside, cell, directions))
     if space.stacked and all(section.empty for section in sections):
         name, unit = space.names[2], space.units[2]
         place = f"{name} = {given[0]:g} {unit} and {given[-1]:g} {unit}"
         raise UnreachablePoseError(f"no pose between {place} is within the limits")
-    return Workspace(space, level_range, sections, ends[:2], places[:2, :, 2] if space.stacked else np.zeros((2, 2)))
+    outlines: tuple[WorkspaceSection, ...] = ()
+    if space.stacked:
+        outlines = tuple(_sections(space, round_levels(level_range, space.units[2]), inside, cell, directions))
+    range_levels = places[:2, :, 2] if space.stacked else np.zeros((2, 2))
+    return Workspace(space, level_range, sections, ends[:2], range_levels, outlines)
 
 
 def round_levels(ends: ArrayLike, unit: str) -> Array:

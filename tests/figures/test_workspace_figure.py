@@ -49,9 +49,9 @@ def test_outlines_have_the_colour_of_their_limit(figure: Figure, whole: Workspac
     step = np.diff([float(label) for label in labels])
     assert step == pytest.approx(0.025)
     for label in labels:
-        assert min(abs(section.level - float(label)) for section in whole.sections) < 1e-12
+        assert min(abs(section.level - float(label)) for section in whole.outlines) < 1e-12
     for collection, label in zip(outlines.collections, labels, strict=False):
-        section = min(whole.sections, key=lambda section: abs(section.level - float(label)))
+        section = min(whole.outlines, key=lambda section: abs(section.level - float(label)))
         assert _enclosed(collection) == pytest.approx(np.degrees(np.degrees(section.area)), rel=3e-3)
 
 

@@ -254,7 +254,7 @@ def test_nonsense_is_refused(mechanism: Robot, tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="grid is one pose"):
         Atlas(mechanism, mechanism.grid(), ("K",), tmp_path / "atlas.nc")
     hexapod = Robot.load("hexapod")
-    with pytest.raises(InvalidValueError, match="quantities = chapter_global"):
+    with pytest.raises(InvalidValueError, match="hexapod has no chapter_global"):
         Atlas(hexapod, hexapod.grid(x=(0.0, 0.01, 2)), ("chapter_global",), tmp_path / "atlas.nc")
 
 
