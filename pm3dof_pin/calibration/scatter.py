@@ -32,6 +32,7 @@ import scipy
 
 from pm3dof_pin.calibration.pseudo_error import control_inverse
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
+from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Array
 
 COVERAGE = 0.95
@@ -84,6 +85,8 @@ class Scatter:
             units: of the drives' joints, "m" or "rad".
             least: number of estimated standard errors below which a part is set to zero.
         """
+        # a projection is of size 1, or nothing but rounding: where drives correct all, none is left
+        shown = np.where(np.linalg.norm(shown, axis=(1, 2), keepdims=True) < SOLVED, 0.0, shown)
         unit = float(np.einsum("nii->", covariances)) / max(1.0, float(np.einsum("nii->", shown)))
         if not shown.any():
             return cls()

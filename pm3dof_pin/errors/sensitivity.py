@@ -41,8 +41,9 @@ _POSES_TO_CLOSE_AT = 20  # at a single pose, such as a symmetric home, more erro
 logger = logging.getLogger(__name__)
 
 _SOUND = 1e-2 / RANK_TOLERANCE  # a square matrix of lower condition has no singular value near the tolerance
-_PROGRAM_FROM = 1000
-"""Poses: tracing and compiling takes as long as some 1,600 to 5,500 with Pinocchio, of small robots and large ones."""
+_PROGRAM_FROM = 100
+"""Poses of a small robot: a calibration, which comes back to them, then gains by tracing and compiling."""
+_LARGE = 10_000  # errors times joints: of larger robots as many times more, since compiling takes half a minute
 _NUMBERS = 2e7  # that are computed at once with Pinocchio
 
 
@@ -104,7 +105,8 @@ def sensitivities(
         own = _of_motions(poses, by_errors, by_drives)
         parts = [(tool.errors, own.errors), (tool.commands, own.commands)]
         return Sensitivities(*(frozen(np.concatenate(pair, axis=1)) for pair in parts))
-    if engine == "program" and len(poses) >= _PROGRAM_FROM:
+    fewest = _PROGRAM_FROM * max(1.0, len(errors) * poses.robot.model.nv / _LARGE)
+    if engine == "program" and len(poses) >= fewest:
         from pm3dof_pin.errors.sensitivity_program import evaluated
 
         try:
