@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from pm3dof_pin.cli.options import RobotOptions
 from pm3dof_pin.cli.output import message
 from pm3dof_pin.export.function_quantities import KINEMATICS, QUANTITIES
-from pm3dof_pin.export.functions import export_functions
+from pm3dof_pin.export.functions import Target, export_functions
+
+_AT_COORDINATES = (*(name for name in KINEMATICS if name != "coordinates"), *QUANTITIES)
 
 
 def export_function(
@@ -19,18 +21,11 @@ def export_function(
         str,
         typer.Option(
             metavar="A,B",
-            help="Quantities at coordinates: commands, transform, jacobian, compliance, stiffness, axis_compliance, "
-            "principal_stiffness, conditioning, coordinate_stiffness, spring_shares, compliance_by_spring, "
-            "holding_forces, mass_matrix, drive_motions, coordinate_inertia, coordinate_weight, vibrations, "
-            "error_sensitivities, geometric_error, geometric_error_bound, geometric_error_left, constraint_jacobian; "
-            "Jacobians A_by_B and A_by_B_derivatives, such as "
-            "tool_by_commands; coordinates, at commands; or all.",
+            help=f"Quantities at coordinates: {', '.join(_AT_COORDINATES)}; Jacobians A_by_B and A_by_B_derivatives, "
+            "such as tool_by_commands; coordinates, at commands; or all.",
         ),
     ] = "commands,coordinates",
-    # as in pm3dof_pin.export.functions, which is not imported just for the help
-    to: Annotated[
-        Literal["numpy", "jax", "torch", "casadi", "c"], typer.Option(help="Library that the functions are for.")
-    ] = "numpy",
+    to: Annotated[Target, typer.Option(help="Library that the functions are for.")] = "numpy",
     out: Annotated[Path, typer.Option("--out", help="Output folder, created if missing.")] = Path("results/function"),
 ) -> None:
     """Write a robot's quantities as functions for other code: one Python file, batched and differentiable, or C.

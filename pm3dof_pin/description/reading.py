@@ -72,9 +72,10 @@ READERS: Mapping[str, Callable[[RobotFiles, bool], Description]] = MappingProxyT
 def _completed(description: Description, file: ClosuresFile) -> Description:
     """Return a description with the entries of a closures file."""
     description = _with_numbers(_with_joint_types(description, file), file)
-    if file.replaces_loops and description.closures:
+    loops = description.closures
+    if file.replaces_loops and loops:
         _logger.info("%s: its loops stand in place of those of %s", file.path, description.origin.path)
-        description = replace(description, closures=())
+        loops = ()
     taken = (
         *("motion_coordinates", "coordinates", "limit_groups", "tool_motions", "tool_frame", "actuated_joints"),
         "closure_tolerance",
@@ -83,7 +84,7 @@ def _completed(description: Description, file: ClosuresFile) -> Description:
     given = {name: value for name in taken if (value := getattr(file, name))}
     return replace(
         description,
-        closures=(*description.closures, *file.closures),
+        closures=(*loops, *file.closures),
         couplings=(*description.couplings, *file.couplings),
         springs=(*(s for s in description.springs if s.get("name") not in own), *file.springs),
         commands=file.commands or (() if file.actuated_joints else description.commands),
@@ -116,8 +117,8 @@ def _with_joint_types(description: Description, file: ClosuresFile) -> Descripti
     """Return a description with joints replaced as the loader of example-parallel-robots does it.
 
     The new joints have the frames of the old ones, no limits, and no place in named configurations. A universal joint
-    becomes two joints, `name_X` and
-    `name_Y` for UJOINT_XY (or any two of the axes); the frame `name` moves with the second.
+    becomes two joints, `name_X` and `name_Y` for UJOINT_XY (or any two of the axes); the frame `name` moves with the
+    second.
     """
     if not file.joint_types:
         return description

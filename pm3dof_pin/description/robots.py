@@ -247,16 +247,15 @@ def _beside(tree: Path, folder: str, *names: str, own: Path | None = None) -> Pa
     With `own`, the tree, not a file that belongs to a URDF of its name, which stands next to the file or in `urdf` of
     the same package: the MJCF, SDF or URDF for Drake of that robot has loops and coordinates of its own.
     """
-    for place in (tree.parent, tree.parent.parent / folder):
-        for path in (place / name for name in names):
-            if not os.path.lexists(path):  # an unreadable one is an error
-                continue
-            urdf = f"{path.name.partition('.')[0]}.urdf"
-            beside = (path.parent, *(() if place == tree.parent else (path.parent.parent / "urdf",)))
-            others = (folder_of / urdf for folder_of in beside)
-            if own is None or not any(other.is_file() and not other.samefile(own) for other in others):
-                return path
-            _logger.info("%s: %s belongs to %s, and is not read", tree, path, urdf)
+    for path in (place / name for name in names for place in (tree.parent, tree.parent.parent / folder)):
+        if not os.path.lexists(path):  # an unreadable one is an error
+            continue
+        urdfs = [path.with_name(f"{path.name.partition('.')[0]}.urdf")]
+        if path.parent != tree.parent:
+            urdfs.append(path.parent.parent / "urdf" / urdfs[0].name)
+        if own is None or not any(urdf.is_file() and not urdf.samefile(own) for urdf in urdfs):
+            return path
+        _logger.info("%s: %s belongs to %s, and is not read", tree, path, urdfs[0].name)
     return None
 
 

@@ -173,7 +173,7 @@ def closure_entries(description: Description) -> dict[str, Any]:
     content: dict[str, Any] = {
         "closed_loop": [[loop.frame_a, loop.frame_b] for loop in loops],
         "type": [loop.type for loop in loops],
-        "closure_axes": [plain(entry) or None for entry in axes] if any(axes) else [],
+        "closure_axes": [yaml_data(entry) or None for entry in axes] if any(axes) else [],
         "closure_lengths": lengths if any(lengths) else [],
         "couplings": [
             {
@@ -195,7 +195,7 @@ def closure_entries(description: Description) -> dict[str, Any]:
             for group in description.limit_groups
             if set(group.joints) <= known
         },
-        "springs": [plain(spring) for spring in description.springs],
+        "springs": [yaml_data(spring) for spring in description.springs],
         "joints": {joint.name: {"armature": joint.armature} for joint in description.joints if joint.armature},
         "drives": {drive.joint: said for drive in description.drives if (said := _drive(drive))},
     }
@@ -205,7 +205,7 @@ def closure_entries(description: Description) -> dict[str, Any]:
 def _drive(drive: Drive) -> dict[str, Any]:
     """Return the numbers of a drive that are not the usual ones."""
     usual = Drive(drive.name, drive.joint)
-    numbers = {key: plain(getattr(drive, key)) for key in DriveSchema.__struct_fields__}
+    numbers = {key: yaml_data(getattr(drive, key)) for key in DriveSchema.__struct_fields__}
     return {key: value for key, value in numbers.items() if value != getattr(usual, key)}
 
 
@@ -219,11 +219,11 @@ def _without_none(entries: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in entries.items() if value is not None}
 
 
-def plain(value: Any) -> Any:
+def yaml_data(value: Any) -> Any:
     """Return a value as lists, mappings and numbers that YAML can write."""
     if hasattr(value, "items"):
-        return {key: plain(entry) for key, entry in value.items()}
-    return [plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
+        return {key: yaml_data(entry) for key, entry in value.items()}
+    return [yaml_data(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
 def _text(numbers: Iterable[float]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,7 @@ from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.programs.processors import processors
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 
@@ -90,7 +90,7 @@ def motion_forces(
     load = np.full((len(poses), model.nv), np.nan)
     known = np.isfinite(velocities).all(axis=1) & np.isfinite(accelerations).all(axis=1)
     rows = [np.ascontiguousarray(values[known]) for values in (poses.q, velocities, accelerations)]
-    load[known] = _loads(model, rows, robot.threads or os.cpu_count() or 1)
+    load[known] = _loads(model, rows, robot.threads or processors())
     forces = np.einsum("nvu,nv->nu", motions.joints, load)
     if wrenches is not None:
         forces -= np.einsum("niu,ni->nu", motions.tool, finite_array("wrenches", wrenches, (len(poses), 6)))

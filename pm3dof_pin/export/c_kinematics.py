@@ -438,7 +438,7 @@ def _header(controller: Controller) -> str:
         nq=controller.inverse.nq,
         numbers=len(controller.parameters),
         steps=_STEPS,
-        walks=_walks(controller),
+        walks=max(_walks(controller, way) for way in ("inverse", "forward")),
         max_steps=_MAX_STEPS,
     )
 
@@ -478,9 +478,17 @@ def _comment(controller: Controller, real: Real) -> str:
     return f"/*\n{body}\n */"
 
 
-def _walks(controller: Controller) -> int:
-    """Return the most walks of a call: from the pose before, home, and to a pose again; of an arm by golden poses."""
-    return 3 if controller.robot.has_loops else 2 + 2 * max(len(model.golden) for model in controller.models.values())
+def _walks(controller: Controller, way: str) -> int:
+    """Return the most walks of a call: from the pose before, from home, and those of the robot's kind.
+
+    Where there are branches, forward goes from home to what it found; of an arm, inverse goes by each golden pose.
+    """
+    own = 0
+    if way == "forward":
+        own = int(controller.robot.has_branches)
+    elif not controller.robot.has_loops:
+        own = 2 * max(len(model.golden) for model in controller.models.values())
+    return 2 + own
 
 
 def _operations(controller: Controller) -> list[str]:
@@ -492,7 +500,7 @@ def _operations(controller: Controller) -> list[str]:
         part = {name: len(program.lines) for name, program in walk.parts.items()}
         near = _STEPS * part["step"] + judged
         walked = part["start"] + _MAX_STEPS * (part["step"] + part["control"]) + 2 * count["branch"]
-        walks = _walks(controller) if (way == "forward") == controller.robot.has_loops else 2
+        walks = _walks(controller, way)
         lines.append(
             f"  {way}: {part['step'] + judged} along a smooth motion, at most {near} near the pose before, and "
             f"{near + walks * walked} with walks"

@@ -6,6 +6,7 @@ A further quantity is a function of a robot that returns its program, and a line
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -40,7 +41,6 @@ KINEMATICS = ("commands", "coordinates", "transform", "jacobian")
 """Quantities that every controller has, see :class:`~pm3dof_pin.export.controller.Controller`."""
 
 _AGREE = 1e-9  # relative, of a program and what Pinocchio computes
-_GRAVITY = 9.81  # m/s^2, to tell a weight from rounding
 
 _logger = logging.getLogger(__name__)
 
@@ -58,7 +58,7 @@ class Described:
     least_scale: float = 0.0  #: size that differences are at least relative to
 
 
-def quantity(robot: Robot, name: str) -> Described:
+def describe_quantity(robot: Robot, name: str) -> Described:
     """Return a quantity of a robot by its name, see :func:`quantity_names`.
 
     Raises:
@@ -83,7 +83,7 @@ def quantity_names(robot: Robot) -> Iterator[str]:
     jacobians = [f"{of}_by_{by}" for of, by in pairs if of != by]
     for name in (*jacobians, "commands_by_coordinates_derivatives", *QUANTITIES):
         try:
-            found = quantity(robot, name)
+            found = describe_quantity(robot, name)
         except PM3DofError as error:
             _logger.info("%s has no %s: %s", robot.name, name, error)
             continue
@@ -94,7 +94,7 @@ def quantity_names(robot: Robot) -> Iterator[str]:
         if exists.any():
             yield name
         else:
-            _logger.info("%s has no %s: it is no number near home", robot.name, name)
+            _logger.info("%s has no %s: it is not a number near home", robot.name, name)
 
 
 def _bound(
@@ -225,14 +225,15 @@ def _weight_felt(robot: Robot) -> Described:
 
 def _weight(robot: Robot) -> float:
     """Return the size of forces and moments of the weight [N, N m]."""
-    return float(_GRAVITY * sum(body.mass for body in robot.model.inertias) * min(1.0, robot.length_unit))
+    mass = sum(body.mass for body in robot.model.inertias)
+    return float(np.linalg.norm(robot.model.gravity.linear) * mass * min(1.0, robot.length_unit))
 
 
 def _vibrations(robot: Robot) -> Described:
     model = elastic_model(robot)
     found = vibrations_program(model, model.mechanism.model)
     count = len(found.compiled.program.results) - 1
-    size = round((np.sqrt(8 * count + 1) - 1) / 2)
+    size = math.isqrt(2 * count)
     numbers = np.zeros((size, size), dtype=int)
     numbers[np.tril_indices(size)] = range(count)
     numbers = np.maximum(numbers, numbers.T)
@@ -324,10 +325,6 @@ def _error_sensitivities(robot: Robot) -> Described:
     )
 
 
-def _in_coordinates(robot: Robot) -> elastic.ElasticQuantity:
-    return elastic.free_stiffness(elastic_model(robot))
-
-
 QUANTITIES: dict[str, Callable[[Robot], Described]] = {
     "compliance": _elastic(
         lambda robot: elastic.COMPLIANCE,
@@ -355,7 +352,7 @@ QUANTITIES: dict[str, Callable[[Robot], Described]] = {
         "7",
     ),
     "coordinate_stiffness": _elastic(
-        _in_coordinates,
+        lambda robot: elastic.free_stiffness(elastic_model(robot)),
         "the stiffness of the coordinates, drives at rest [N/m, N, N m/rad]",
         "coordinates, coordinates",
     ),

@@ -16,7 +16,6 @@ import itertools
 import json
 import logging
 import math
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -44,6 +43,7 @@ from pm3dof_pin.maps.atlas_store import AtlasStore, Block, Variable, exclusive_r
 from pm3dof_pin.maps.datasets import BROKEN_LIMITS, dataset_attributes, flag_variable, limit_names
 from pm3dof_pin.maps.quantities import select_quantities
 from pm3dof_pin.maps.quantity import NO_WRENCH, Evaluation, MappedRobot, Quantity
+from pm3dof_pin.programs.processors import processors
 from pm3dof_pin.typing import Branch
 
 if TYPE_CHECKING:
@@ -337,7 +337,7 @@ def _compute_block(atlas: Atlas, block: Block) -> Block:
 
 def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Iterator[Block]:
     """Run the blocks on threads (programs and writes release the interpreter lock), a few ahead at a time."""
-    count = threads or os.cpu_count() or 1
+    count = threads or processors()
     computing: deque[Future[Block]] = deque()
     with ThreadPoolExecutor(count) as pool:
         try:

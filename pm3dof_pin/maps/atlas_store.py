@@ -33,6 +33,7 @@ import numpy as np
 from pm3dof_pin.exceptions import DescriptionError, OutputError
 from pm3dof_pin.files import write_atomically
 from pm3dof_pin.maps.datasets import BROKEN_LIMITS
+from pm3dof_pin.programs.processors import processors
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
@@ -288,7 +289,7 @@ class AtlasStore:
                 with netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
                     self._declare(file)
                 with h5py.File(temporary, "r+") as file:
-                    for name, first, chunk in self._deflated(blocks, threads or os.cpu_count() or 1):
+                    for name, first, chunk in self._deflated(blocks, threads or processors()):
                         file[name].id.write_direct_chunk(first, chunk)
             except RuntimeError as error:  # raised by the libraries for a full disk
                 raise OSError(f"{error} while writing the NetCDF file: is the disk full?") from error

@@ -100,7 +100,7 @@ class Workspace:
     sections: tuple[WorkspaceSection, ...]  #: sections by increasing level; a single one for two coordinates
     ranges: Array  #: least and greatest first coordinate, then second, of the whole set, shape=(2, 2) [m, rad]
     range_levels: Array  #: the levels at which they are reached, shape=(2, 2) [m, rad]
-    outlines: tuple[WorkspaceSection, ...] = ()  #: sections at round levels, for drawing
+    sections_at: Callable[[Array], Sequence[WorkspaceSection]]  #: finds sections at other levels
 
     @cached_property
     def levels(self) -> Array:
@@ -111,6 +111,13 @@ class Workspace:
     def areas(self) -> Array:
         """Areas of the sections, shape=(n,), in the product of both units."""
         return np.array([section.area for section in self.sections])
+
+    @cached_property
+    def outlines(self) -> Sequence[WorkspaceSection]:
+        """Sections at round levels, for drawing; none if there are two coordinates, or the set is flat."""
+        if not self.space.stacked or not np.ptp(self.level_range) > 0.0:
+            return ()
+        return self.sections_at(round_levels(self.level_range, self.space.units[2]))
 
     @property
     def volume(self) -> float:
@@ -195,16 +202,17 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
     level_range = ends[2] if space.stacked else np.zeros(2)
     if space.stacked and isinstance(levels, int):
         given = np.linspace(level_range[0], level_range[1], levels)
-    sections = tuple(_sections(space, given, inside, cell, directions))
+
+    def sections_at(levels: Array) -> Sequence[WorkspaceSection]:
+        return _sections(space, levels, inside, cell, directions)
+
+    sections = tuple(sections_at(given))
     if space.stacked and all(section.empty for section in sections):
         name, unit = space.names[2], space.units[2]
         place = f"{name} = {given[0]:g} {unit} and {given[-1]:g} {unit}"
         raise UnreachablePoseError(f"no pose between {place} is within the limits")
-    outlines: tuple[WorkspaceSection, ...] = ()
-    if space.stacked:
-        outlines = tuple(_sections(space, round_levels(level_range, space.units[2]), inside, cell, directions))
     range_levels = places[:2, :, 2] if space.stacked else np.zeros((2, 2))
-    return Workspace(space, level_range, sections, ends[:2], range_levels, outlines)
+    return Workspace(space, level_range, sections, ends[:2], range_levels, sections_at)
 
 
 def round_levels(ends: ArrayLike, unit: str) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,6 +15,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.paths.bounds import Loads, MotionLimits, PathBounds
 from pm3dof_pin.paths.follower import Follower
 from pm3dof_pin.paths.time_law import Speeds, look_ahead
+from pm3dof_pin.programs.processors import processors
 from pm3dof_pin.typing import Indices, Mask, Matrix, Vector
 
 Result = TypeVar("Result")
@@ -67,7 +67,7 @@ def in_blocks(
     if (first := next(rest, None)) is None:
         return
     yield first, function(first)
-    count = threads or os.cpu_count() or 1
+    count = threads or processors()
     with ThreadPoolExecutor(count) as pool:
         for part in rest:
             waiting.append((part, pool.submit(function, part)))

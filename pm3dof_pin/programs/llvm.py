@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, ShapeError
 from pm3dof_pin.programs import llvm_ir
+from pm3dof_pin.programs.processors import processors
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.walk import NEARLY_CLOSED, SHORTEST_LEG, STEPS, Walk
 from pm3dof_pin.tolerances import CLOSED
@@ -367,7 +368,7 @@ class Compiled:
 
         parts = n * length * len(self.program) // _OPERATIONS_A_PART
         if parts > 1:
-            threads = threads or _processors()
+            threads = threads or processors()
             parts = min(4 * threads, parts)
         if parts <= 1 or threads == 1:
             part(0, n)
@@ -384,11 +385,6 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)
-
-
-def _processors() -> int:
-    """Return the number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _address(array: Array) -> int:

@@ -48,11 +48,6 @@ def _write_gif(file: Path, pictures: Sequence[bytes], duration: float) -> None:
     frames[0].save(file, format="GIF", save_all=True, append_images=frames[1:], duration=pace, loop=0)
 
 
-def has_encoder() -> bool:
-    """Return whether films can be MP4."""
-    return encoder() is not None
-
-
 def encoder() -> str | None:
     """Return the path of ffmpeg, or None."""
     if found := shutil.which("ffmpeg"):
@@ -69,10 +64,8 @@ def _write_mp4(file: Path, pictures: Sequence[bytes], duration: float, path: Pat
     from PIL import Image
 
     if (program := encoder()) is None:
-        advice = (
-            "neither ffmpeg nor imageio-ffmpeg is installed, which write MP4: pip install imageio-ffmpeg, or a name "
-        )
-        raise OutputError(path, f"{advice}that ends in .gif")
+        way_out = "pip install imageio-ffmpeg, or a name that ends in .gif"
+        raise OutputError(path, f"neither ffmpeg nor imageio-ffmpeg is installed, which write MP4: {way_out}")
     corner = Image.open(io.BytesIO(pictures[0])).convert("RGB").crop((0, 0, 1, 1))
     background = f"0x{corner.tobytes().hex()}"  # of the line that makes an odd size even
     source = ["-f", "image2pipe", "-c:v", "png", "-framerate", f"{len(pictures) / duration:g}", "-i", "-"]

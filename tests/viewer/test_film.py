@@ -33,7 +33,7 @@ def test_colours_that_come_later_are_in_the_palette_of_a_gif(tmp_path: Path) -> 
             assert np.abs(pixels[0, 0] - _PAPER).max() < 8
 
 
-@pytest.mark.skipif(not film.has_encoder(), reason="neither ffmpeg nor imageio-ffmpeg is installed")
+@pytest.mark.skipif(film.encoder() is None, reason="neither ffmpeg nor imageio-ffmpeg is installed")
 def test_an_odd_size_is_filled_with_the_background(tmp_path: Path) -> None:
     path = film.write_film(tmp_path / "film.mp4", [_picture(_BLUE)] * 10, 1.0)
     first = ["-frames:v", "1", "-f", "image2pipe", "-c:v", "png", "-"]
