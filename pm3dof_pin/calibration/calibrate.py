@@ -186,16 +186,18 @@ def calibrate(
     report_progress = progress or (lambda done, of: None)
     failure: PM3DofError | None = None
     try:
-        fitted, held_out, against = _judged(seen, errors, options)
+        fitted, held_out, against = _judged(fit(seen, errors, options, quiet=True))
     except _FAILURES as error:
         failure = error
     if undeclared and (failure is not None or against or not fitted.scatters):
         # nobody said that the drives are homed to absolute marks
         with contextlib.suppress(*_FAILURES):
-            again = _judged(seen, with_free_zeros(errors), options)
-            if not again[2] and (failure is not None or against or _explains_more(again[0], fitted)):
-                (fitted, held_out, against), failure = again, None
-                warnings.append(_zeros_in_words(fitted))
+            other = fit(seen, with_free_zeros(errors), options, quiet=True)
+            if failure is not None or against or _explains_more(other, fitted):
+                again = _judged(other)
+                if not again[2]:
+                    (fitted, held_out, against), failure = again, None
+                    warnings.append(_zeros_in_words(fitted))
     for warning in (*warnings, *(() if failure is not None else fitted.warnings)):
         logger.warning("%s", warning)
     if failure is not None:
@@ -229,9 +231,8 @@ def calibrate(
     return Calibration(**parts, held_out=held_out, validation=judged, refusals=tuple(against))
 
 
-def _judged(seen: Measurements, errors: GeometricErrors, options: Options) -> tuple[Fit, HeldOut | None, list[str]]:
+def _judged(fitted: Fit) -> tuple[Fit, HeldOut | None, list[str]]:
     """Return a fit with its cross-validation, and what speaks against it."""
-    fitted = fit(seen, errors, options, quiet=True)
     held_out = HeldOut.from_cross_validation(fitted) if fitted.can_be_judged else None
     if held_out is not None:
         fitted = fitted.with_scatter(held_out.scatter)

@@ -28,6 +28,7 @@ from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _POSES = 2000  # number of poses of the workspace: their rms is known to a percent or two
+_FEWEST_POSES, _LARGEST = 300, 350_000  # of machines with many parameters: poses times parameters, at most
 _WHOLE_POSES = 6  # drives with which commands correct whole poses
 _WHOLE = 0.995  # fraction of a correction that counts as all
 _POORLY_DESCRIBED = 2.0  # noise factor from which the parameters do not describe the machine
@@ -139,7 +140,8 @@ class Expectation:
     ) -> Expectation:
         """Judge a calibration in words, using its cross-validation and other measurements if available."""
         compensation = calibration.compensation
-        poses = reachable_poses(compensation.errors.robot, _POSES, np.random.default_rng(0))
+        count = min(_POSES, max(_FEWEST_POSES, _LARGEST // max(1, len(compensation.errors))))
+        poses = reachable_poses(compensation.errors.robot, count, np.random.default_rng(0))
         conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
         answer = compensation.compensate(poses, conditions, on_failure="nan")
         reached = np.isfinite(answer.error_bound)

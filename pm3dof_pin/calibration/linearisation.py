@@ -252,9 +252,11 @@ class Linearisation:
             # with a prior the normal equations are well conditioned, and much faster to reweight
             rows, sigmas, basis = self._seen
             weighted = scale.reshape(-1, 1) * rows
-            information = weighted.T @ weighted + np.diag(1.0 / sigmas**2)
+            information = weighted.T @ weighted
+            information.flat[:: len(sigmas) + 1] += 1.0 / sigmas**2
             right = weighted.T @ (scale * self._targets).ravel()
-            found = np.asarray(scipy.linalg.solve(information, right, assume_a="pos"))
+            factor = scipy.linalg.cho_factor(information, overwrite_a=True, check_finite=False)
+            found = np.asarray(scipy.linalg.cho_solve(factor, right, check_finite=False))
             if basis is None:
                 return found
             seen = basis.shape[1]

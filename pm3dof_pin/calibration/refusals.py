@@ -9,7 +9,7 @@ import numpy as np
 
 from pm3dof_pin.calibration.fit import Fit, Options, fit
 from pm3dof_pin.calibration.held_out import HeldOut
-from pm3dof_pin.calibration.identification import PRIOR, Identification
+from pm3dof_pin.calibration.identification import PRIOR, Identification, identify
 from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.mistakes import Mistake, changes_in_the_middle, usual_mistakes
 from pm3dof_pin.calibration.pseudo_error import seen_errors
@@ -256,11 +256,12 @@ def _change_in_the_middle(calibration: Fit) -> str:
 
     A machine identified from all of them lies between the two set-ups.
     """
-    found, eta = calibration.identification, calibration.options.eta
+    found, options = calibration.identification, calibration.options
     shown, poses = found.settled[found.trusted], found.poses[found.trusted]
-    for mistake in changes_in_the_middle(shown, poses, eta):
-        again = fit(replace(mistake.corrected, lines=shown.lines), found.errors, calibration.options, quiet=True)
-        if again.identification.noise_factor < _HALF * found.noise_factor:
+    for mistake in changes_in_the_middle(shown, poses, options.eta):
+        corrected = replace(mistake.corrected, lines=shown.lines)
+        again = identify(corrected, found.errors, prior=found.prior, loss=options.loss)
+        if again.noise_factor < _HALF * found.noise_factor:
             return mistake.text
     return ""
 

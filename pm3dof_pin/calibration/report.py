@@ -26,6 +26,7 @@ from pm3dof_pin.figures.style import COLORMAP, INK, TWO_COLUMNS, house_style, ne
 _BEFORE, _AFTER, _FLOOR, _NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okabe and Ito
 
 _MICROMETRES = 1e6
+_MOST = 100  # parameters drawn
 _SHOWN = 4.0  # tolerances; a wider uncertainty leaves the picture of the parameters
 _NO_FLOOR = (
     "The part that no command corrects is not drawn: only identified parameters locate it. Both maps lack it, except "
@@ -193,12 +194,13 @@ def _parameters(found: Identification, picture: Figure) -> list[str]:
         ("Combinations known no better than their tolerances", found.identifiability.unidentified),
         ("Parameters individually dominated by the prior", found.prior_dominated),
     ]
+    some = f" Drawn are the {_MOST} farthest from the description." if len(rows) > _MOST else ""
     remarks = "".join(f"<li>{text}: {escape('; '.join(names) or 'none')}.</li>" for text, names in silent)
     return [
         "<h2>Identified parameters</h2>",
         f"<p>{found.identifiability.identified} combinations of {len(found.identifiability.names)} parameters are "
         "known better than their tolerances. The grey band is the tolerance; before the measurements the standard "
-        f"deviation was {found.prior:g} tolerances.</p>",
+        f"deviation was {found.prior:g} tolerances.{some}</p>",
         f"<ul>{remarks}</ul>",
         "<p>The first sigma is what the data say, given their noise and the tolerances. The second adds what they "
         "cannot tell: smooth effects that no parameter describes, hidden in the noise, may shift the parameters by as "
@@ -276,7 +278,8 @@ def _held_out_picture(held_out: HeldOut, shown: str) -> Figure:
 def _parameters_picture(found: Identification) -> Figure:
     """Draw the identified parameters with two standard deviations, in units of their tolerances."""
     values = found.values / found.errors.tolerances
-    spread = found.sigmas / found.errors.tolerances  # as in the table
+    drawn = np.sort(np.argsort(-np.abs(values), kind="stable")[:_MOST])
+    values, spread = values[drawn], (found.sigmas / found.errors.tolerances)[drawn]  # as in the table
     places = np.arange(len(values))[::-1]
     with house_style():
         figure = new_figure(TWO_COLUMNS, 1.2 + 0.17 * len(values))
@@ -285,7 +288,7 @@ def _parameters_picture(found: Identification) -> Figure:
         axes.axvspan(-1.0, 1.0, color="#EEEEEE", zorder=0)
         axes.axvline(0.0, color=INK, linewidth=0.7)
         axes.errorbar(values, places, xerr=2.0 * spread, fmt="o", markersize=3.0, color=_AFTER, ecolor=_NOISE)
-        axes.set_yticks(places, [parameter_words(name) for name in found.errors.names], fontsize=7.0)
+        axes.set_yticks(places, [parameter_words(found.errors.names[k]) for k in drawn], fontsize=7.0)
         axes.set_ylim(-1.0, len(values))
         reach = max(_SHOWN, 1.1 * float(np.abs(values).max(initial=0.0)))
         if float((np.abs(values) + 2.0 * spread).max(initial=0.0)) > reach:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +43,8 @@ logger = logging.getLogger(__name__)
 _SOUND = 1e-2 / RANK_TOLERANCE  # a square matrix of lower condition has no singular value near the tolerance
 _PROGRAM_FROM = 100
 """Poses of a small robot: a calibration, which comes back to them, then gains by tracing and compiling."""
-_LARGE = 10_000  # errors times joints: of larger robots as many times more, since compiling takes half a minute
+_LARGE = 12_000  # errors times joints: of larger robots as many times more, since compiling takes half a minute,
+_DRIVES = 300  # for the drives as long as for so many errors
 _NUMBERS = 2e7  # that are computed at once with Pinocchio
 
 
@@ -105,7 +106,7 @@ def sensitivities(
         own = _of_motions(poses, by_errors, by_drives)
         parts = [(tool.errors, own.errors), (tool.commands, own.commands)]
         return Sensitivities(*(frozen(np.concatenate(pair, axis=1)) for pair in parts))
-    fewest = _PROGRAM_FROM * max(1.0, len(errors) * poses.robot.model.nv / _LARGE)
+    fewest = _PROGRAM_FROM * max(1.0, (len(errors) + _DRIVES) * poses.robot.model.nv / _LARGE)
     if engine == "program" and len(poses) >= fewest:
         from pm3dof_pin.errors.sensitivity_program import evaluated
 
@@ -242,14 +243,18 @@ class _Loops:
         free = robot.passive_indices
         if not robot.has_loops or len(free) != robot.closure_scale.size:
             return None
-        scale = robot.velocity_scale[free]
-        closures = self._closures() / robot.closure_scale[:, None]
-        inverse, sound = _inverses(closures[:, :, free] * scale)
+        scale, blocks = robot.velocity_scale[free], list(self._closure_blocks())
+        passive = self._stacked((rows[:, :, moving < nv], moving[moving < nv]) for rows, moving in blocks)[:, :, free]
+        inverse, sound = _inverses(passive / robot.closure_scale[:, None] * scale)
         if not sound.all():
             return None
-        inputs, tool = np.concatenate([np.arange(nv, self._columns.shape[2]), robot.actuated_indices]), self._tool()
-        covectors = (tool[:, :, free] * scale) @ inverse
-        return np.asarray((tool - covectors @ closures)[:, :, inputs])
+        tool = self._tool()
+        covectors = (tool[:, :, free] * scale) @ inverse / robot.closure_scale
+        first = 0
+        for rows, moving in blocks:
+            tool[:, :, moving] -= covectors[:, :, first : first + rows.shape[1]] @ rows
+            first += rows.shape[1]
+        return np.concatenate([tool[:, :, nv:], tool[:, :, robot.actuated_indices]], axis=2)
 
     def strains(self) -> Array:
         """Return the scaled closure error that each error leaves at the worst pose, shape=(errors,)."""
@@ -367,7 +372,19 @@ class _Loops:
 
     def _closures(self) -> Array:
         """Return the closures' velocities for all columns, as in Configuration.constraint_jacobian."""
-        blocks = []
+        return self._stacked(self._closure_blocks())
+
+    def _stacked(self, blocks: Iterable[tuple[Array, Indices]]) -> Array:
+        """Return blocks of rows, which have some of the columns, below each other, shape=(n, rows, columns)."""
+        stacked = np.zeros((len(self._columns), self._robot.closure_scale.size, self._columns.shape[2]))
+        first = 0
+        for rows, moving in blocks:
+            stacked[:, first : first + rows.shape[1], moving] = rows
+            first += rows.shape[1]
+        return stacked
+
+    def _closure_blocks(self) -> Iterator[tuple[Array, Indices]]:
+        """Yield the closures' velocities, shape=(n, rows, k), for the columns that move them, shape=(k,)."""
         for loop in self._robot.closures:
             a, b = (self._robot.frame_id(name) for name in (loop.frame_a, loop.frame_b))
             movers = self._errors.movers(b) - self._errors.movers(a)
@@ -382,16 +399,11 @@ class _Loops:
             linear = relative[:, :3] + _crossed(angular, at_b[:, :3, 3, None])
             for directions, part in ((along, linear), (about, angular)):
                 if directions:
-                    rows = np.zeros((len(self._columns), len(directions), self._columns.shape[2]))
-                    rows[:, :, moving] = np.einsum("kin,nij->nkj", np.array(directions), part)
-                    blocks.append(rows)
+                    yield np.asarray(np.einsum("kin,nij->nkj", np.array(directions), part)), moving
         for coupled in self._robot.loop_kinematics.couplings:
-            rows = np.zeros((len(self._columns), 1, self._columns.shape[2]))
-            rows[:, 0, coupled.joint.v_index] = 1.0
-            for joint, slope in zip(coupled.others, coupled.slopes(self._q), strict=True):
-                rows[:, 0, joint.v_index] = -slope
-            blocks.append(rows)
-        return np.concatenate(blocks, axis=1)
+            slopes = [np.ones(len(self._q)), *(-slope * np.ones(len(self._q)) for slope in coupled.slopes(self._q))]
+            moving = np.array([coupled.joint.v_index, *(joint.v_index for joint in coupled.others)])
+            yield np.stack(slopes, axis=1)[:, None], moving
 
     def _tool(self) -> Array:
         """Return the tool's twist for all columns, linear part at the tool point, shape=(n, 6, nv + errors)."""

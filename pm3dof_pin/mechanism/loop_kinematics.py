@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from pm3dof_pin.description.closure_types import ClosureType
 from pm3dof_pin.description.couplings import Coupling
+from pm3dof_pin.mechanism.scratch_data import ScratchData
 from pm3dof_pin.mechanism.single_joint import SingleJoint
 from pm3dof_pin.typing import Array, Matrix, Vector
 
@@ -35,6 +36,9 @@ class Anchors:
         return _held(self, placement.translation, placement.rotation)[0]
 
 
+_scratch_data = ScratchData()  # apart from other uses: it may run in the midst of these
+
+
 @dataclass(frozen=True, eq=False)
 class CoupledJoints:
     """One coupling in the model."""
@@ -49,7 +53,7 @@ class CoupledJoints:
 
 
 class LoopKinematics(threading.local):
-    """Pinocchio's data for one mechanism, one copy per thread.
+    """Pinocchio's data for mechanisms of the same joints, one copy per thread.
 
     Pinocchio updates the data of a constraint only on `calc` and returns stale rows otherwise. Here every method starts
     from q, runs every step its result depends on, and returns new arrays: no state survives a call, and no other code
@@ -58,7 +62,6 @@ class LoopKinematics(threading.local):
 
     def __init__(self, model: pin.Model, closures: Sequence[Anchors], couplings: Sequence[CoupledJoints]) -> None:
         self._model = model
-        self._data = model.createData()
         self._closures = tuple(closures)
         self.couplings = tuple(couplings)
         self._constraints = pin.StdVec_ConstraintModel()
@@ -76,6 +79,10 @@ class LoopKinematics(threading.local):
         datas = [constraint_data.extract() for constraint_data in self._constraint_datas]
         self._details = list(zip(closures, self.rows, own, datas, strict=False))
         self._are_points = all(closure.kind.name == "3d" for closure in closures) and not couplings
+
+    @property
+    def _data(self) -> pin.Data:
+        return _scratch_data(self._model)
 
     def closures(self, q: Vector) -> tuple[Vector, Matrix]:
         """Compute the closure error e, shape=(m,) [m, rad], and its derivative G, de/dt = G v, shape=(m, nv), at q.
@@ -128,10 +135,11 @@ class LoopKinematics(threading.local):
 
     def _constraint_rows(self, q: Vector) -> Matrix:
         """Update the data at q and return Pinocchio's constraint Jacobian."""
-        pin.computeJointJacobians(self._model, self._data, q)
+        data = self._data
+        pin.computeJointJacobians(self._model, data, q)
         for constraint, constraint_data in self._pairs:
-            constraint.calc(self._model, self._data, constraint_data)
-        stacked = pin.getConstraintsJacobian(self._model, self._data, self._constraints, self._constraint_datas)
+            constraint.calc(self._model, data, constraint_data)
+        stacked = pin.getConstraintsJacobian(self._model, data, self._constraints, self._constraint_datas)
         rows: Matrix = stacked.reshape(self._own_count, self._model.nv)
         return rows
 
@@ -149,8 +157,9 @@ class LoopKinematics(threading.local):
 
     def frame_placement(self, q: Vector, frame_id: int) -> pin.SE3:
         """Compute the placement of a frame in the world."""
-        pin.forwardKinematics(self._model, self._data, q)
-        return pin.updateFramePlacement(self._model, self._data, frame_id).copy()
+        data = self._data
+        pin.forwardKinematics(self._model, data, q)
+        return pin.updateFramePlacement(self._model, data, frame_id).copy()
 
     def frame_jacobian(self, q: Vector, frame_id: int, reference: pin.ReferenceFrame) -> Matrix:
         """Compute the Jacobian of a frame, shape=(6, nv), linear part first."""

@@ -1,6 +1,7 @@
 """Pinocchio's working memory, which takes longer to make than most computations with it.
 
-That of a model of 144 joints takes 50 ms to make, and its mass matrix 0.06 ms.
+That of a model of 144 joints takes 0.1 s and 110 MB, the second derivatives of its dynamics most of it, and its mass
+matrix 0.06 ms. It depends on bodies and joints, not on where they are: displaced copies of a model share it.
 """
 
 from __future__ import annotations
@@ -9,25 +10,34 @@ import threading
 
 import pinocchio as pin
 
-_MOST = 4  # models whose data are kept
+_MOST = 4  # models that are remembered with their data
 
 
-class _Kept(threading.local):
+class ScratchData(threading.local):
     """Models and their data, one list per thread, those used last at the end."""
 
     def __init__(self) -> None:
-        self.pairs: list[tuple[pin.Model, pin.Data]] = []
+        self._pairs: list[tuple[pin.Model, pin.Data]] = []
+
+    def __call__(self, model: pin.Model) -> pin.Data:
+        """Return data for a model, kept from earlier calls: for one computation, whose results are copied."""
+        for place, (known, data) in enumerate(self._pairs):
+            if known is model:
+                self._pairs.append(self._pairs.pop(place))
+                return data
+        alike = (data for known, data in reversed(self._pairs) if _alike(known, model))
+        data = next(alike, None) or model.createData()
+        self._pairs.append((model, data))
+        del self._pairs[:-_MOST]
+        return data
 
 
-_kept = _Kept()
+scratch_data = ScratchData()
 
 
-def scratch_data(model: pin.Model) -> pin.Data:
-    """Return data of a model, kept from earlier calls in this thread: for one computation, whose results are copied."""
-    for place, (known, data) in enumerate(_kept.pairs):
-        if known is model:
-            _kept.pairs.append(_kept.pairs.pop(place))
-            return data
-    _kept.pairs.append((model, model.createData()))
-    del _kept.pairs[:-_MOST]
-    return _kept.pairs[-1][1]
+def _alike(a: pin.Model, b: pin.Model) -> bool:
+    """Tell whether models have the same joints, axes included, and as many frames, on the same bodies."""
+    return bool(
+        (a.nframes, a.parents.tolist()) == (b.nframes, b.parents.tolist())
+        and all(one == other for one, other in zip(a.joints, b.joints, strict=True))
+    )

@@ -348,12 +348,20 @@ class _System:
         """
         for k, rate in known.items():
             if k in self.columns:
-                right = right - np.outer(self.columns[k], rate)
+                moved = [not is_zero(entry) for entry in self.columns[k]]
+                right = right.copy()
+                right[moved] -= np.outer(self.columns[k][moved], rate)
         if self.rows is None:
-            kept = np.eye(len(self.error))[[not all(map(is_zero, row)) for row in self.matrix]]
-            return _solved_by_elimination(kept @ self.matrix, kept @ right)
-        matrix, right = self.rows @ self.matrix, self.rows @ right
+            kept = [not all(map(is_zero, row)) for row in self.matrix]
+            return _solved_by_elimination(self.matrix[kept], right[kept])
+        matrix, right = _combined(self.rows, self.matrix), _combined(self.rows, right)
         return _solved_directly(matrix, right) if len(matrix) <= 3 else _solved_by_elimination(matrix, right)
+
+
+def _combined(weights: Array, rows: Objects) -> Objects:
+    """Return weights @ rows without the terms that are zero, most of them in large systems."""
+    sums = [np.sum([own[k] * rows[k] for k in np.flatnonzero(own)], axis=0) for own in weights]
+    return np.array(sums, dtype=object).reshape(len(weights), rows.shape[1])
 
 
 def _scaled(tree: Tree, equations: Equations) -> Equations:

@@ -25,6 +25,7 @@ from pm3dof_pin.typing import Array, Mask
 _LOG = logging.getLogger(__name__)
 
 _STEPS_AT_ONCE = 32  # of walks, before those that have ended are set aside
+_USUAL_STEPS = 8  # of these until a walk ends
 _ALIGNED = 64  # bytes
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, do not justify a thread
 
@@ -258,7 +259,7 @@ class Compiled:
         while rows.size:  # those that have ended make room for others in the lanes
             ends = np.empty((len(rows), walk.status + 1))
             begins = states if len(rows) == len(states) else states[rows]
-            self._run("walk", begins, parameters, ends, threads, 0.0, _STEPS_AT_ONCE, length=_STEPS_AT_ONCE)
+            self._run("walk", begins, parameters, ends, threads, 0.0, _STEPS_AT_ONCE, length=_USUAL_STEPS)
             states[rows, : walk.status + 1] = ends
             rows = rows[ends[:, walk.status] > 0.0]
         return Walked(states[:, walk.reached], states[:, walk.status])
