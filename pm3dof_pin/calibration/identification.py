@@ -87,10 +87,10 @@ class Identification:
         ends = np.cumsum([len(errors), len(problem.elastic.names)])
         values, logarithms, measuring = np.split(fit.x * problem.units, ends)
         certainties = problem.certainties(fit, loss)
-        covariance = problem.covariance(certainties, prior_error)
-        hidden = problem.hidden_shifts(certainties, factors, covariance)
         # the worst of many parameters must be within its bounds too: twice the error of k
-        variances = np.diag(problem.covariance(certainties, 2.0 * prior_error))[: len(errors)]
+        covariance, worst = problem.covariances(certainties, (prior_error, 2.0 * prior_error))
+        hidden = problem.hidden_shifts(certainties, factors, covariance)
+        variances = np.diag(worst)[: len(errors)]
         return cls(
             errors=errors,
             values=frozen(values),

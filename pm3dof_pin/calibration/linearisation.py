@@ -8,6 +8,7 @@ errors shift the tool but do not rotate it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -176,8 +177,10 @@ class Linearisation:
         bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(self.rows), self.dimensions.sum(axis=1))
         return np.flatnonzero(self.squares(fit.x) @ fit.noise_factors**-2.0 > bound)
 
-    def covariance(self, certainties: Array, prior_error: float) -> Array:
-        """Return the covariance of all parameters; infinite for those that a singular information leaves undetermined.
+    def covariances(self, certainties: Array, prior_errors: Sequence[float]) -> list[Array]:
+        """Return the covariance of all parameters for each relative error of the prior's k.
+
+        Infinite for those that a singular information leaves undetermined.
 
         With the information I of the measurements and L of the prior, it is C = (I + L)^-1 = C I C + C L C. The second
         term is what was not measured; the prior's error affects the parameters' part of it.
@@ -188,8 +191,8 @@ class Linearisation:
         if np.isfinite(self.prior):
             covariance = np.linalg.inv(information + np.diag(1.0 / self.sigmas**2))
             unmeasured = covariance[:, : len(self.errors)] / self.prior
-            wider = (1.0 + prior_error) ** 2 - 1.0
-            return np.asarray((covariance + wider * unmeasured @ unmeasured.T) * unit)
+            widened = unmeasured @ unmeasured.T * unit
+            return [covariance * unit + ((1.0 + error) ** 2 - 1.0) * widened for error in prior_errors]
         # a frame has no prior either, but it is always seen together with a known machine
         known_before = np.where(self.sigmas < UNKNOWN, 1.0 / self.sigmas**2, 0.0)
         values, axes = np.linalg.eigh(information + np.diag(known_before))
@@ -197,7 +200,7 @@ class Linearisation:
         covariance = (axes[:, known] / values[known]) @ axes[:, known].T * unit
         unknown = np.flatnonzero(np.abs(axes[:, ~known]).max(axis=1, initial=0.0) > 1e-6)
         covariance[unknown, unknown] = np.inf
-        return np.asarray(covariance)
+        return [np.asarray(covariance)] * len(prior_errors)
 
     def hidden_shifts(self, certainties: Array, factors: Array, covariance: Array) -> Array:
         """Return the shift of parameters by effects that no residual shows, root sum of squares, shape=(parameters,).

@@ -45,7 +45,7 @@ _PROGRAM_FROM = 100
 """Poses of a small robot: a calibration, which comes back to them, then gains by tracing and compiling."""
 _LARGE = 12_000  # errors times joints: of larger robots as many times more, since compiling takes half a minute,
 _DRIVES = 300  # for the drives as long as for so many errors
-_NUMBERS = 2e7  # that are computed at once with Pinocchio
+_NUMBERS = 1e7  # that are computed at once with Pinocchio
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,17 +132,26 @@ def _of_motions(poses: Poses, by_errors: Array, by_drives: Array) -> Sensitiviti
 def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array, numbers: Indices) -> Array:
     """Return the tool's motion by one unit of each error, then of each drive's coordinate, at poses by number.
 
-    Its shape is (numbers, 6, k + u). The poses are taken in blocks, whose matrices fit into memory.
+    Its shape is (numbers, 6, k + u).
     """
+    motions = np.empty((len(numbers), 6, len(errors) + len(poses.robot.actuated_indices)))
+    done = 0
+    for loops in _blocks(errors, poses, p, numbers):
+        found = _block_motions(loops)
+        motions[done : done + len(found)] = found
+        done += len(found)
+    return motions
+
+
+def _blocks(errors: GeometricErrors, poses: Poses, p: Array, numbers: Indices) -> Iterator[_Loops]:
+    """Yield the loops at poses by number, in blocks whose matrices fit into memory."""
     robot = poses.robot
     columns = robot.model.nv + len(errors)
     size = columns * (robot.model.nv + robot.closure_scale.size + 24)
-    motions = np.empty((len(numbers), 6, len(errors) + len(robot.actuated_indices)))
     block = max(1, int(_NUMBERS / size))
     for start in range(0, len(numbers), block):
         own = numbers[start : start + block]
-        motions[start : start + block] = _block_motions(_Loops(errors, poses[own], p, own))
-    return motions
+        yield _Loops(errors, poses[own], p, own)
 
 
 def _block_motions(loops: _Loops) -> Array:
@@ -176,10 +185,13 @@ def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricEr
         closing = closable(errors.components, poses).names
         lost = np.array([name not in closing for name in errors.components.names])
         return errors.select(_names(errors, ~(errors.combinations[lost] != 0.0).any(axis=0)))
-    loops = _Loops(errors, poses, errors.zeros)
+    idle, strains = np.ones(len(errors), dtype=bool), np.zeros(len(errors))
+    for loops in _blocks(errors, poses, errors.zeros, np.arange(len(poses))):
+        idle &= loops.idle()
+        strains = np.maximum(strains, loops.strains())
     turning = np.array([parameter.motion == "rotation" for parameter in errors.parameters])
-    order = np.lexsort((turning, loops.idle()))
-    fitting = order[loops.strains()[order] <= RANK_TOLERANCE]
+    order = np.lexsort((turning, idle))
+    fitting = order[strains[order] <= RANK_TOLERANCE]
     kept = np.zeros(len(errors), dtype=bool)
     small = np.minimum(errors.tolerances, _SMALL) * np.random.default_rng(0).standard_normal(len(errors))
     _keep_closable(errors, small, fitting, kept, poses[:_POSES_TO_CLOSE_TOGETHER])

@@ -29,6 +29,7 @@ _USUAL_STEPS = 8  # of these until a walk ends
 _ALIGNED = 64  # bytes
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, do not justify a thread
 
+_LARGE = 5_000  # operations: longer programs, whose compilation takes seconds, need as many times more poses
 MANY_POSES = 20_000
 """Number of poses, over all calls of a program, from which it is compiled with full optimisation.
 
@@ -342,7 +343,7 @@ class Compiled:
             raise ShapeError("parameters", shared.shape, expected)
         n = len(rows)
         self._poses += n * length
-        if self._faster is not None and self._poses > MANY_POSES:
+        if self._faster is not None and self._poses > MANY_POSES * max(1.0, len(self.program) / _LARGE):
             faster, self._faster = self._faster, None
             try:
                 self._load(faster())

@@ -277,7 +277,7 @@ def test_a_direction_is_told_down_to_rounding(weak: float, told: bool) -> None:
         prior=np.inf,
         sigmas=np.full(2, np.inf),
     )
-    covariance = Linearisation.covariance(problem, np.ones((1, 2)), 1.0)  # type: ignore[arg-type]
+    covariance = Linearisation.covariances(problem, np.ones((1, 2)), [1.0])[0]  # type: ignore[arg-type]
     assert covariance[0, 0] == pytest.approx(1.0, rel=1e-12)
     assert covariance[1, 1] == (pytest.approx(1.0 / weak, rel=1e-9) if told else np.inf)
 
