@@ -347,8 +347,11 @@ def case(request: pytest.FixtureRequest, cases: dict[str, Poses]) -> Poses:
 @pytest.fixture
 def programs_for_few_poses(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let programs compute the few poses for which Pinocchio would be as fast."""
-    from pm3dof_pin.dynamics import batch
+    from pm3dof_pin.dynamics import batch, dynamic_stiffness, motion_dynamics, motion_forces
     from pm3dof_pin.errors import error_sums, sensitivity
+    from pm3dof_pin.kinematics import jacobians
 
-    for module in (batch, error_sums, sensitivity):
+    for module in (batch, sensitivity):
         monkeypatch.setattr(module, "_PROGRAM_FROM", 0)
+    for module in (dynamic_stiffness, motion_dynamics, motion_forces, error_sums, jacobians):
+        monkeypatch.setattr(module, "PROGRAM_FROM", 0)

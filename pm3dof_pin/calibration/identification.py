@@ -36,8 +36,9 @@ PRIOR_DOMINATED = 0.9
 _MAX_STEPS = 50
 _SMALL_STEP = 1e-6  # change of the residuals by a step, in units of their sigma
 _STUCK = 1e-4  # the same, for a step that only rounding keeps from shrinking further
+_SLOW = 1e-2  # the same after many steps, still small against the noise
 _NEAR = 1.0  # the same, below which the minimum is kept
-_SEARCHING = 10  # steps after which the minimum is kept however long they are: the noise has two fits, if rows are few
+_SEARCHING = 10  # many steps, after which the minimum is kept however long they are: with few rows, noise has two fits
 _BELIEVED = 4.0  # weight of the tolerances' own value, as a number of parameters
 
 
@@ -332,7 +333,8 @@ def identify(
             measurements = measurements.in_moved_base(x[frame] * linear.units[frame])
             x[frame] = 0.0
         poses = _poses_at(errors.apply(x[:count] * errors.tolerances), measurements, poses.q)
-        if length <= _SMALL_STEP or (length <= _STUCK and length >= 0.5 * previous):
+        stuck = _SLOW if step > _SEARCHING else _STUCK
+        if length <= _SMALL_STEP or (length <= stuck and length >= 0.5 * previous):
             linear = Linearisation.at(measurements, errors, elastic, nuisances, prior, poses, x)
             return Identification.from_fit(linear, fit, loss, prior_error, step)
         previous = length

@@ -16,11 +16,11 @@ from pm3dof_pin.elastic.batch import elastic_model, evaluate
 from pm3dof_pin.elastic.quantities import compliance_by_spring
 from pm3dof_pin.elastic.springs import RIGID
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Engine
 
-_PROGRAM_FROM = 100  # poses
 _STIFFNESSES = (
     *("stiffness", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness", "matrix"),
 )
@@ -39,7 +39,7 @@ def spring_deflections(poses: Poses, wrenches: Array) -> Array:
     """
     checked = finite_array("wrenches", wrenches, (len(poses), 6))
     model = elastic_model(poses.robot)
-    engine: Engine = poses.robot.engine if len(poses) >= _PROGRAM_FROM else "pinocchio"
+    engine: Engine = poses.robot.engine if len(poses) >= PROGRAM_FROM else "pinocchio"
     parts = evaluate(model, poses, compliance_by_spring(model), engine=engine).values
     return np.asarray(np.einsum("nsij,nj->nsi", parts, checked))
 

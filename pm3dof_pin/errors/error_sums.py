@@ -18,7 +18,7 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.kinematics.closing_programs import BoundProgram
-from pm3dof_pin.kinematics.pose_values import BatchOptions, PoseValues, evaluate_at
+from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, PoseValues, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.programs.elimination import eliminate, squared_singular_values, total, zeros
 from pm3dof_pin.programs.graph import Scalar, absolute, minimum, sqrt
@@ -28,7 +28,6 @@ KinematicSum = Literal["tip_rms", "worst_tip", "left_rms", "energy"]
 """Sums over the class "kinematic parameters", named as in :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`."""
 
 _CLASS = "kinematic parameters"
-_PROGRAM_FROM = 50  # poses: with fewer, Pinocchio is as fast as finding the program and its numbers
 
 
 def kinematic_sum(
@@ -66,7 +65,7 @@ def kinematic_sum(
         (),
         program=program,
         reference=lambda q: getattr(error_budget(sources, robot.at([q]), eta=eta, names=[_CLASS]), name),
-        program_from=_PROGRAM_FROM,
+        program_from=PROGRAM_FROM,
         **options,
     )
 

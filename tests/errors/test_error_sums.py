@@ -30,6 +30,7 @@ def _sources(errors: GeometricErrors) -> ErrorSources:
 SUMS = {"pm3dof": get_args(KinematicSum), "hexapod": ("left_rms", "worst_tip"), "three_rps": ("left_rms", "energy")}
 
 
+@pytest.mark.usefixtures("programs_for_few_poses")
 @pytest.mark.parametrize("robot", SUMS)
 def test_the_program_is_the_careful_engine(robot: str) -> None:
     described = Robot.load(robot)
@@ -46,6 +47,7 @@ def test_the_program_is_the_careful_engine(robot: str) -> None:
         assert np.all(np.abs(found.values[:6] - careful.values) <= 1e-10 * tip)
 
 
+@pytest.mark.usefixtures("programs_for_few_poses")
 def test_poses_in_doubt_are_done_with_care(tripod_nominal: Poses, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = tripod_nominal.robot
     few = GeometricErrors(robot, GeometricErrors.load("pm3dof").parameters[:3])

@@ -111,6 +111,7 @@ def test_singular_poses_say_so() -> None:
     assert np.isnan(jacobian(hexapod, turned, of="tool", by="commands", on_failure="nan").values).all()
 
 
+@pytest.mark.usefixtures("programs_for_few_poses")
 def test_counters_in_micrometres_determine_the_pose() -> None:
     """A counter of another unit makes no configuration singular: J of the coordinates by commands is the inverse."""
     robot = pm.load(_MACHINES / "three_rpr")
