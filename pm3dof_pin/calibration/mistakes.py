@@ -10,7 +10,6 @@ import contextlib
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -18,19 +17,18 @@ from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.measuring.datum import Datum
-from pm3dof_pin.measuring.instruments.sphere import SPHERE
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array
 
 _LENGTHS = {"millimetres": 1e-3, "inches": 25.4e-3, "centimetres": 1e-2}
 _SAME_SIZE = 0.2  # relative difference of sizes for which a unit can be right
+_TOO_SMALL = (("rad", "degrees", "radians", 180.0 / np.pi), ("m", "millimetres", "metres", 1e3))
 _SHIFTS = 20  # rows by which poses may be shifted from their commands
-_MANY = 4  # drives or targets, above which not every permutation is tried
+_MANY = 4  # drives, above which not every permutation is tried
 _STEPS = 3  # of a fit that is not quite linear
 _FAR = 2.0  # times the median: rows beyond it get less weight
-_MIN_ROWS = 4  # touches of a fixed point, poses before and after a change
+_MIN_ROWS = 4  # poses before and after a change
 _POINT_SIGMA = 1e-3  # of a point on the tool that was fitted by the machine as described [m]
 
 
@@ -49,38 +47,36 @@ def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> It
     """Yield the usual mistakes, relative to the machine's poses as described; eta weighs the orientation [m/rad]."""
     for each in (_units, _drives, _rows, _axes, _quaternions):
         yield from each(measurements, nominal)
-    for fitted in (_frame, _points, _fixed_points, _counters, changes_in_the_middle):
+    for fitted in (_frame, _points, _counters, changes_in_the_middle):
         with contextlib.suppress(PM3DofError, np.linalg.LinAlgError):  # positions on a line, commands out of reach
             yield from fitted(measurements, nominal, eta)
 
 
 def _units(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
-    seen, distances = measurements.seen[:, :3], measurements.distances
-    expected, positions = measurements.points_on(nominal), measurements.positions
-    free = measurements.registration is not None  # then only distances between positions are known
-    middle = [np.median(points, axis=0) if free else np.zeros(3) for points in (expected, positions)]
-    size, found = (
-        np.linalg.norm(np.where(seen, points - m, 0.0)) for points, m in zip((expected, positions), middle, strict=True)
-    )
+    expected, positions, distances = measurements.points_on(nominal), measurements.positions, measurements.distances
+    if measurements.registration is not None:  # then only distances between positions are known
+        expected, positions = (points - np.median(points, axis=0) for points in (expected, positions))
+    size, found = (np.linalg.norm(points[measurements.seen[:, :3]]) for points in (expected, positions))
     for unit, factor in _LENGTHS.items():
         if distances is not None:
             yield Mistake(f"the distances are in {unit}", replace(measurements, distances=factor * distances))
         elif abs(factor * found - size) < _SAME_SIZE * size:
-            yield Mistake(f"the positions are in {unit}", replace(measurements, positions=factor * positions))
+            other = replace(measurements, positions=factor * measurements.positions)
+            yield Mistake(f"the positions are in {unit}", other)
     # too small; units that make commands too large break the joint limits
     units = np.array([command.unit for command in nominal.robot.commands])
-    for own, heading, unit, factor in (
-        ("rad", "degrees", "radians", 180.0 / np.pi),
-        ("m", "millimetres", "metres", 1e3),
-    ):
+    for own, heading, unit, factor in _TOO_SMALL:
         if own in units:
-            larger = measurements.commands * np.where(units == own, factor, 1.0)
+            commands = measurements.commands * np.where(units == own, factor, 1.0)
             text = f"the commands are in {unit}, but the header says {heading}"
-            yield Mistake(text, replace(measurements, commands=larger))
-    lengths: dict[str, Any] = {"positions": 1e3 * positions, "points": 1e3 * measurements.points}
-    lengths["commands"] = measurements.commands * np.where(units == "m", 1e3, 1.0)
-    lengths["sigmas"] = measurements.sigmas * np.where(np.arange(measurements.sigmas.shape[1]) < 3, 1e3, 1.0)
-    yield Mistake("all lengths are in metres, but the header says millimetres", replace(measurements, **lengths))
+            yield Mistake(text, replace(measurements, commands=commands))
+    larger = replace(
+        measurements.with_points(1e3 * measurements.points),
+        positions=1e3 * measurements.positions,
+        commands=measurements.commands * np.where(units == "m", 1e3, 1.0),
+        sigmas=measurements.sigmas * np.where(np.arange(measurements.sigmas.shape[1]) < 3, 1e3, 1.0),
+    )
+    yield Mistake("all lengths are in metres, but the header says millimetres", larger)
 
 
 def _drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
@@ -115,53 +111,39 @@ def _rows(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
 
 
 def _axes(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
-    rotations = measurements.rotations
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            axes = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if np.array_equal(axes, np.eye(3)):
-                continue
-            names = ", ".join(f"{'-' if sign < 0.0 else ''}{'xyz'[k]}" for k, sign in zip(order, signs, strict=True))
-            hand = "mirrored" if np.linalg.det(axes) < 0.0 else "swapped"
-            moved = replace(measurements, positions=measurements.positions @ axes.T)
-            if rotations is not None:
-                turned = replace(moved, rotations=axes @ rotations @ (axes.T if hand == "mirrored" else np.eye(3)))
-                yield Mistake(f"the axes of the poses are {hand}: x, y, z of the base are their {names}", turned)
-            if measurements.points.any():
-                points = moved.with_points(measurements.points @ axes.T)
-                yield Mistake(f"the axes of positions and points are {hand}: x, y, z are their {names}", points)
-            yield Mistake(f"the axes of the positions are {hand}: x, y, z of the base are their {names}", moved)
+    positions, rotations = measurements.positions, measurements.rotations
+    for order, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)):
+        axes = np.eye(3)[list(order)] * np.array(signs)[:, None]
+        if np.array_equal(axes, np.eye(3)):
+            continue
+        names = ", ".join(f"{'-' if sign < 0.0 else ''}{'xyz'[k]}" for k, sign in zip(order, signs, strict=True))
+        mirrored = np.linalg.det(axes) < 0.0
+        text = f"the axes are {'mirrored' if mirrored else 'swapped'}: x, y, z of the base are their {names}"
+        moved = replace(measurements, positions=positions @ axes.T)
+        if rotations is not None:
+            turned = axes @ rotations @ (axes.T if mirrored else np.eye(3))
+            yield Mistake(text, replace(moved, rotations=turned))
+            text = f"{text}, of the positions only"
+        yield Mistake(text, moved)
 
 
 def _quaternions(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
-    if measurements.rotations is None:
-        return
-    numbers, inverse = quaternion(measurements.rotations), np.swapaxes(measurements.rotations, 1, 2)
-    for words, order in (("x, y, z, w", (3, 0, 1, 2)), ("z, y, x, w", (3, 2, 1, 0))):
-        read = replace(measurements, rotations=rotation_of_quaternion(numbers[:, order]))
-        yield Mistake(f"the quaternions are in the order {words}", read)
-    yield Mistake(
-        "the orientations are inverse: of the base in the tool's axes", replace(measurements, rotations=inverse)
-    )
-    positions = -np.einsum("nij,nj->ni", inverse, measurements.positions)
-    both = replace(measurements, positions=positions, rotations=inverse)
-    yield Mistake("the poses are inverse: of the base in the tool's axes", both)
+    if measurements.rotations is not None:
+        numbers = quaternion(measurements.rotations)
+        for words, order in (("x, y, z, w", (3, 0, 1, 2)), ("z, y, x, w", (3, 2, 1, 0))):
+            read = replace(measurements, rotations=rotation_of_quaternion(numbers[:, order]))
+            yield Mistake(f"the quaternions are in the order {words}", read)
 
 
 def _frame(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
     if measurements.registration is None:
-        for unit, factor in {"": 1.0, **_LENGTHS}.items():
-            scaled = replace(measurements, positions=factor * measurements.positions)
-            found = scaled.registered_at(nominal, eta)
-            spreads = [np.ptp(points, axis=0).max() for points in (scaled.positions, nominal.positions)]
-            if not unit or abs(spreads[0] - spreads[1]) < _SAME_SIZE * spreads[1]:
-                text = "the measurements are in the instrument's own frame, not the base's: use --own-frame"
-                text = f"the positions are in {unit}, and in the instrument's own frame: --own-frame" if unit else text
-                yield Mistake(text, replace(scaled.in_axes(found), registration=found))
+        found = measurements.registered_at(nominal, eta)
+        text = "the measurements are in the instrument's own frame, not the base's: use --own-frame"
+        yield Mistake(text, replace(measurements.in_axes(found), registration=found))
 
 
 def _points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Yield other points of the tool, the tool's axes, and targets exchanged or elsewhere."""
+    """Yield another point of the tool, with other axes of the tool, and targets elsewhere."""
     shift = np.zeros(3)
     for _ in range(_STEPS):  # distances are not linear in it
         moved = measurements.with_points(measurements.points + shift)
@@ -172,18 +154,11 @@ def _points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[
     if measurements.rotations is not None:
         left, _, right = np.linalg.svd((np.swapaxes(nominal.rotations, 1, 2) @ measurements.rotations).sum(axis=0))
         turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-        for text, placed in (
-            ("the tool's axes are different", measurements),
-            (f"the point seen is {words}, and the tool's axes are different", shifted),
-        ):
-            yield Mistake(text, replace(placed, rotations=measurements.rotations @ turn.T))
+        turned = replace(shifted, rotations=measurements.rotations @ turn.T)
+        yield Mistake(f"the tool's axes are different, and the point seen is {words}", turned)
     numbers = measurements.target_numbers
     points = measurements.points[np.unique(numbers, return_index=True)[1]]
-    if measurements.points.any() and len(points) > 1 and measurements.seen[:, :3].all():
-        for order in itertools.permutations(range(len(points))) if len(points) <= _MANY else ():
-            if order != tuple(range(len(points))):
-                text = f"the targets are exchanged: the first are really numbers {', '.join(str(k + 1) for k in order)}"
-                yield Mistake(text, measurements.with_points(points[list(order)][numbers]))
+    if len(points) > 1 and measurements.seen[:, :3].all():
         off = np.einsum("nji,nj->ni", nominal.rotations, measurements.positions - measurements.points_on(nominal))
         for k in range(len(points)):
             place = points[k] + np.median(off[numbers == k], axis=0)
@@ -191,49 +166,19 @@ def _points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[
             yield Mistake(text, measurements.with_points(np.where((numbers == k)[:, None], place, measurements.points)))
 
 
-def _fixed_points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Yield other fixed points of distances, as centres that are not known."""
-    origins, distances, partners = measurements.origins, measurements.distances, measurements.partners
-    if origins is None or distances is None or partners is None:
-        return
-    fixed, places, datums = np.isfinite(distances) & (partners < 0), [], []
-    first = 1 + max((datum.number for datum in measurements.datums), default=0)
-    for number, place in enumerate(np.unique(origins[fixed], axis=0)):
-        rows = fixed & (origins == place).all(axis=1)
-        if rows.sum() >= _MIN_ROWS:
-            values = np.where(rows, distances, np.nan)[:, None]
-            datums.append(Datum.fitted(SPHERE, first + number, measurements.points_on(nominal), values))
-            distances, place = np.where(rows, np.nan, distances), datums[-1].origin
-        places.append(place)
-    words = "), (".join(map(millimetres, places))
-    text = f"the fixed points are not where the file has them, but at about ({words}) mm"
-    yield Mistake(text, replace(measurements, distances=distances, datums=(*measurements.datums, *datums)))
-
-
 def _counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Yield the zero of one drive, its zero and lead, and the zeros of all drives, fitted to all rows together."""
-    commands, count = measurements.commands, measurements.commands.shape[1]
-
-    def fitted(changes: Array) -> tuple[Array, Measurements]:
-        """Fit amounts of command changes, shape=(n, drives, k); return them and the corrected measurements."""
-        poses, found = nominal, np.zeros(changes.shape[2])
-        for _ in range(_STEPS):
-            found = found + _explained_by(measurements, poses, eta, command_jacobians(poses) @ changes)
-            poses = nominal.robot.forward(commands + changes @ found, guess=poses.q)
-        return found, replace(measurements, commands=commands + changes @ found)
-
-    for k in range(count):
-        own = np.zeros((len(commands), count, 2))
-        own[:, k] = np.column_stack([np.ones(len(commands)), commands[:, k]])
+    """Yield the zero of each drive, and of all drives, fitted to all rows together."""
+    commands, drives = measurements.commands, np.eye(measurements.commands.shape[1])
+    for each in (*np.split(drives, len(drives), axis=1), drives):
+        off = f"zero of u{int(np.argmax(each)) + 1} is" if each.shape[1] == 1 else "zeros of the drives are"
         with contextlib.suppress(PM3DofError, np.linalg.LinAlgError):
-            (zero,), corrected = fitted(own[:, :, :1])
-            yield Mistake(f"the zero of u{k + 1} is off by about {-1e3 * zero:.3g} mm or mrad", corrected)
-            (_, lead), corrected = fitted(own)
-            yield Mistake(
-                f"u{k + 1} is {1.0 / (1.0 + lead):.5g} times what it should be: another lead or sign", corrected
-            )
-    zeros, corrected = fitted(np.tile(np.eye(count), (len(commands), 1, 1)))
-    yield Mistake(f"the zeros of the drives are off by about ({millimetres(-zeros)}) mm or mrad", corrected)
+            poses, zeros = nominal, np.zeros(each.shape[1])
+            for _ in range(_STEPS):
+                zeros = zeros + _explained_by(measurements, poses, eta, command_jacobians(poses) @ each)
+                poses = nominal.robot.forward(commands + each @ zeros, guess=poses.q)
+            amounts = millimetres(-zeros) if len(zeros) == 1 else f"({millimetres(-zeros)})"
+            text = f"the {off} off by about {amounts} mm or mrad"
+            yield Mistake(text, replace(measurements, commands=commands + each @ zeros))
 
 
 def changes_in_the_middle(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:

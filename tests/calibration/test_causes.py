@@ -35,28 +35,9 @@ def measured(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Measureme
     return Measurements.from_poses(reached.commands, reached.transforms)
 
 
-def _inverse(measurements: Measurements) -> Measurements:
-    assert measurements.rotations is not None
-    return replace(measurements, rotations=np.swapaxes(measurements.rotations, 1, 2))
-
-
 def _from_row_10(measurements: Measurements, shift: float) -> Measurements:
     later = np.arange(len(measurements))[:, None] >= 10
     return replace(measurements, positions=measurements.positions + later * [shift, 0.0, 0.0])
-
-
-def _by_distances(measurements: Measurements, place: tuple[float, float, float]) -> Measurements:
-    """A point measured from one place and stated to be measured from another."""
-    count = len(measurements)
-    return replace(
-        measurements,
-        rotations=None,
-        sigmas=np.tile([1e-5, np.inf, np.inf], (count, 1)),
-        points=np.tile([0.1, 0.0, 0.0], (count, 1)),
-        distances=np.linalg.norm(measurements.positions + measurements.rotations[:, :, 0] * 0.1 - place, axis=1),
-        origins=np.tile([0.3, 0.2, 0.0], (count, 1)),
-        partners=np.full(count, -1),
-    )
 
 
 MISTAKES: dict[str, tuple[Callable[[Measurements], Measurements], str]] = {
@@ -65,7 +46,7 @@ MISTAKES: dict[str, tuple[Callable[[Measurements], Measurements], str]] = {
     "a row": (lambda m: replace(m, commands=np.roll(m.commands, 1, axis=0)), "1 row above their commands"),
     "left-handed": (
         lambda m: replace(m, positions=m.positions @ MIRROR, rotations=MIRROR @ m.rotations @ MIRROR),
-        "the axes of the poses are mirrored: x, y, z of the base are their x, -y, z",
+        "the axes are mirrored: x, y, z of the base are their x, -y, z",
     ),
     "tool point": (
         lambda m: replace(m, positions=m.positions + m.rotations @ np.array([0.03, 0.0, 0.0])),
@@ -75,7 +56,6 @@ MISTAKES: dict[str, tuple[Callable[[Measurements], Measurements], str]] = {
         lambda m: replace(m, positions=m.positions @ TURN.T + [0.002, 0.0, 0.0], rotations=TURN @ m.rotations),
         "--own-frame",
     ),
-    "inverse": (_inverse, "the orientations are inverse"),
     "frame, from some line on": (lambda m: _from_row_10(m, 0.03), r"from line 12 on the .* by about \(30"),
     "zero of a drive, seen by heights": (
         lambda m: replace(
@@ -88,7 +68,6 @@ MISTAKES: dict[str, tuple[Callable[[Measurements], Measurements], str]] = {
         ),
         "the zero of u1 is off by about (9.9|10)",
     ),
-    "fixed point": (lambda m: _by_distances(m, (0.32, 0.2, 0.0)), r"the fixed points are not .* about \((319|320|321)"),
     "inches": (lambda m: replace(m, positions=m.positions / 25.4e-3), "in inches"),
 }
 

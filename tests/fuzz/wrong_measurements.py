@@ -320,7 +320,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "a drive's lead": Wrong(
         _commands(lambda u, g: u * np.where(np.arange(u.shape[1]) == 0, 1.02, 1.0)),
-        "u1|times the noise|rows are outliers",
+        "u1|times the noise|rows are outliers|tolerances",
     ),
     "relative commands": Wrong(_commands(lambda u, g: u - u[0]), "limits|zero|off|frame|scale"),
     "commands a thousandfold": Wrong(_scaled("commands", 1000.0), "limits"),
@@ -356,7 +356,8 @@ WRONG: dict[str, Wrong] = {
     "tool point": Wrong(_shifted_tool(0.03, 0.0, 0.0), "point seen"),
     "tool point, a little": Wrong(_shifted_tool(0.003, -0.002, 0.0), "point seen"),
     "pose of the base in the tool": Wrong(
-        lambda g: _seen(g.table, -_turns(g.table).inv().apply(_xyz(g.table)), _turns(g.table).inv()), "inverse"
+        lambda g: _seen(g.table, -_turns(g.table).inv().apply(_xyz(g.table)), _turns(g.table).inv()),
+        "poses measured|axes of the base",
     ),
     "x constant": Wrong(lambda g: {**g.table, "x_m": np.full(len(g.table["x_m"]), g.table["x_m"][0])}, "."),
     "z constant": Wrong(lambda g: {**g.table, "z_m": np.full(len(g.table["z_m"]), g.table["z_m"][0])}, "."),
