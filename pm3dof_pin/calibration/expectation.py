@@ -143,7 +143,7 @@ class Expectation:
         count = min(_POSES, max(_FEWEST_POSES, _LARGEST // max(1, len(compensation.errors))))
         poses = reachable_poses(compensation.errors.robot, count, np.random.default_rng(0))
         conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
-        answer = compensation.compensate(poses, conditions, on_failure="nan")
+        answer = compensation.compensate(poses, conditions, on_failure="nan", with_deviations=False)
         reached = np.isfinite(answer.error_bound)
         bound = float(np.quantile(answer.error_bound[reached], COVERAGE))
         scope, total = "rms over the workspace", _rms(answer.predicted_error[reached])

@@ -37,6 +37,9 @@ _MAX_STEPS = 50
 _SMALL_STEP = 1e-6  # change of the residuals by a step, in units of their sigma
 _STUCK = 1e-4  # the same, for a step that only rounding keeps from shrinking further
 _SLOW = 1e-2  # the same after many steps, still small against the noise
+_SLOWLY = 0.1  # of the step before: not quadratic convergence, as where derivatives are approximate
+_FARTHEST = 10.0  # times the last change of a solution, to extrapolate
+_FEW = 3  # steps, in which quadratic convergence is nearly at its end
 _NEAR = 1.0  # the same, below which the minimum is kept
 _SEARCHING = 10  # many steps, after which the minimum is kept however long they are: with few rows, noise has two fits
 _BELIEVED = 4.0  # weight of the tolerances' own value, as a number of parameters
@@ -323,24 +326,37 @@ def identify(
     if start is not None:
         x = start.scaled_values
         poses = _poses_at(errors.apply(start.values), measurements, poses.q)
+    last = x, np.zeros(0)
     for step in range(1, _MAX_STEPS + 1):
         linear = Linearisation.at(measurements, errors, elastic, nuisances, prior, poses, x)
         fit = linear.robust(loss, fit if previous < _NEAR or step > _SEARCHING else None)
-        length = float(np.abs(linear.rows @ (fit.x - x)).max())
-        x = fit.x
+        change = linear.rows @ (fit.x - x)
+        length = float(np.abs(change).max())
+        stuck = _SLOW if step > _SEARCHING else _STUCK
+        done = length <= _SMALL_STEP or (length <= stuck and length >= 0.5 * previous)
+        slowly = step > _FEW and length > _SLOWLY * previous and not frame.size
+        x = fit.x if done or not slowly else _extrapolated(fit.x, change, *last)
+        last = fit.x, change
         if frame.size:
             # the frame found becomes part of the registration, so that it remains a small motion
             measurements = measurements.in_moved_base(x[frame] * linear.units[frame])
             x[frame] = 0.0
         poses = _poses_at(errors.apply(x[:count] * errors.tolerances), measurements, poses.q)
-        stuck = _SLOW if step > _SEARCHING else _STUCK
-        if length <= _SMALL_STEP or (length <= stuck and length >= 0.5 * previous):
+        if done:
             linear = Linearisation.at(measurements, errors, elastic, nuisances, prior, poses, x)
             return Identification.from_fit(linear, fit, loss, prior_error, step)
         previous = length
     raise ConvergenceError(
         "identification", length, "sigmas", _MAX_STEPS, "use a prior; check that the measurements are of this machine"
     )
+
+
+def _extrapolated(x: Array, change: Array, before: Array, change_before: Array) -> Array:
+    """Return the secant's zero, given two solutions and the changes of the residuals that led to them."""
+    difference = change - change_before
+    size = float(np.vdot(difference, difference))
+    amount = float(np.vdot(change, difference)) / size if size > 0.0 else 0.0
+    return np.asarray(x - np.clip(amount, -_FARTHEST, _FARTHEST) * (x - before))
 
 
 def _poses_at(robot: Robot, measurements: Measurements, guess: Array | None = None) -> Poses:

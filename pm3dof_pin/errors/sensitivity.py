@@ -40,7 +40,7 @@ _SMALL = 1e-3  # largest errors [m, rad] with which closing is tested; displacem
 _POSES_TO_CLOSE_AT = 20  # at a single pose, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
-_SOUND = 1e-2 / RANK_TOLERANCE  # a square matrix of lower condition has no singular value near the tolerance
+_SOUND = 0.1 / RANK_TOLERANCE  # a square matrix of lower condition has no singular value near the tolerance
 _PROGRAM_FROM = 100
 """Poses of a small robot: a calibration, which comes back to them, then gains by tracing and compiling."""
 _LARGE = 12_000  # errors times joints: of larger robots as many times more, since compiling takes half a minute,
@@ -246,27 +246,53 @@ class _Loops:
         return (*self._robot.actuated_joints, *self._errors.names)
 
     def regular_motions(self) -> Array | None:
-        """Return what :meth:`tool_motions` does, where as many closures as passive joints are regular at every pose.
+        """Return what :meth:`tool_motions` does; None if some rank is in doubt, or an error strains the closures.
 
-        The closures take part by their six covectors at the tool, not by the rates of all joints: otherwise most of
-        the time of large robots.
+        They take part by their six covectors at the tool, not by the rates of all joints: otherwise most of the time
+        of large robots.
         """
         robot, nv = self._robot, self._model.nv
-        free = robot.passive_indices
-        if not robot.has_loops or len(free) != robot.closure_scale.size:
+        driven, free = robot.actuated_indices, robot.passive_indices
+        if not robot.has_loops:
             return None
         scale, blocks = robot.velocity_scale[free], list(self._closure_blocks())
-        passive = self._stacked((rows[:, :, moving < nv], moving[moving < nv]) for rows, moving in blocks)[:, :, free]
-        inverse, sound = _inverses(passive / robot.closure_scale[:, None] * scale)
-        if not sound.all():
+        closures = self._stacked((rows[:, :, moving < nv], moving[moving < nv]) for rows, moving in blocks)
+        closures = closures[:, :, :nv] / robot.closure_scale[:, None]
+        tool, passive = self._tool(), closures[:, :, free] * scale
+        through = tool[:, :, free] * scale
+        covectors: Array | None
+        unmet = np.zeros((len(tool), 0, len(robot.closure_scale)))
+        excess = len(driven) - len(robot.placing_drives)
+        if len(free) + excess != robot.closure_scale.size:
+            found = None if excess else _redundant_covectors(passive, through)
+            if found is None:
+                return None
+            covectors, unmet = found
+        elif excess:
+            drives, by_drives = (part[:, :, driven] * self._give for part in (closures, tool))
+            covectors = _shared_covectors(passive, drives, through, by_drives)
+        else:
+            inverse, sound = _inverses(passive)
+            covectors = np.asarray(through @ inverse) if sound.all() else None
+        if covectors is None:
             return None
-        tool = self._tool()
-        covectors = (tool[:, :, free] * scale) @ inverse / robot.closure_scale
-        first = 0
+        covectors, unmet = covectors / robot.closure_scale, unmet / robot.closure_scale
+        strains, first = np.zeros((len(tool), unmet.shape[1], tool.shape[2])), 0
         for rows, moving in blocks:
-            tool[:, :, moving] -= covectors[:, :, first : first + rows.shape[1]] @ rows
-            first += rows.shape[1]
-        return np.concatenate([tool[:, :, nv:], tool[:, :, robot.actuated_indices]], axis=2)
+            own = slice(first, first + rows.shape[1])
+            tool[:, :, moving] -= covectors[:, :, own] @ rows
+            strains[:, :, moving] += unmet[:, :, own] @ rows
+            first = own.stop
+        inputs = np.concatenate([driven, np.arange(nv, tool.shape[2])])
+        if np.abs(strains[:, :, inputs]).max(initial=0.0) > RANK_TOLERANCE:
+            return None
+        return np.concatenate([tool[:, :, nv:], tool[:, :, driven]], axis=2)
+
+    @property
+    def _give(self) -> Vector:
+        """The units of the drives in which equally stiff ones give way by the least norm, shape=(drives,) [rad, m]."""
+        robot = self._robot
+        return np.where(robot.velocity_scale[robot.actuated_indices] == 1.0, 1.0, robot.length_unit)
 
     def strains(self) -> Array:
         """Return the scaled closure error that each error leaves at the worst pose, shape=(errors,)."""
@@ -304,15 +330,15 @@ class _Loops:
         inverse = np.where(values > noise, 1.0 / np.where(values > noise, values, 1.0), 0.0)
         kept = np.where(values > noise, 1.0, 0.0)[:, :, None] * right
         self._require_tool_at_rest(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
+        excess = len(driven) - len(robot.placing_drives)
+        if excess:
+            return self._shared_rates(rates, passive, pushed, excess)
         in_range = np.swapaxes(left, 1, 2) @ pushed
         followed = np.swapaxes(right, 1, 2) @ (inverse[:, :, None] * in_range)
         rates[:, free] = -velocity_scale[:, None] * followed
         strain = pushed - left @ (np.where(values > noise, 1.0, 0.0)[:, :, None] * in_range)
         unit = np.abs(pushed).max(axis=1) + 1.0
         strain = np.abs(strain).max(axis=1) / unit
-        excess = len(driven) - len(robot.placing_drives)
-        if excess:
-            return self._shared_rates(rates, passive, pushed, excess)
         bound = np.flatnonzero(strain[:, : len(driven)].max(axis=0, initial=0.0) > RANK_TOLERANCE)
         if bound.size:
             raise SingularConfigurationError(
@@ -330,7 +356,7 @@ class _Loops:
         free, scale = robot.passive_indices, robot.velocity_scale
         inverse = np.linalg.pinv(passive, rcond=RANK_TOLERANCE)
         unmet = pushed - passive @ (inverse @ pushed)
-        give = np.where(scale[driven] == 1.0, 1.0, robot.length_unit)
+        give = self._give
         by_drives = unmet[:, :, : len(driven)] * give
         sizes = np.linalg.svd(by_drives, compute_uv=False)
         noise = RANK_TOLERANCE * np.abs(pushed).max(axis=(1, 2), initial=0.0)
@@ -439,6 +465,39 @@ class _Loops:
 
 def _bases(loop: LoopClosure) -> tuple[Array, Array]:
     return loop.bases or (np.eye(3), np.eye(3))
+
+
+def _redundant_covectors(passive: Array, tool: Array) -> tuple[Array, Array] | None:
+    """Return what of more closures than passive joints moves the tool, and random combinations that move no joint.
+
+    Their shapes are (n, 6, closures) and (n, 2, closures). An error that moves such a combination strains the closures.
+    """
+    if passive.shape[1] < passive.shape[2]:
+        return None
+    turned, triangular = np.linalg.qr(passive)
+    inverse, sound = _inverses(triangular)
+    if not sound.all():
+        return None
+    within = np.swapaxes(turned, 1, 2)
+    chosen = np.random.default_rng(0).standard_normal((2, passive.shape[1]))
+    return tool @ inverse @ within, chosen - chosen @ turned @ within
+
+
+def _shared_covectors(passive: Array, drives: Array, tool: Array, tool_by_drives: Array) -> Array | None:
+    """Return what of closures moves the tool, shape=(n, 6, closures), where more drives than needed meet some of them.
+
+    They do so by their least norm. None if some rank is in doubt.
+    """
+    count = passive.shape[2]
+    turned, triangular = np.linalg.qr(passive, mode="complete")
+    inverse, sound = _inverses(triangular[:, :count])
+    within, beyond = np.split(np.swapaxes(turned, 1, 2), [count], axis=1)
+    given, relations = np.linalg.qr(np.swapaxes(beyond @ drives, 1, 2))
+    inverse_relations, independent = _inverses(np.swapaxes(relations, 1, 2))
+    if not (sound.all() and independent.all()):
+        return None
+    covectors = tool @ inverse @ within
+    return np.asarray(covectors + (tool_by_drives - covectors @ drives) @ given @ inverse_relations @ beyond)
 
 
 def _inverses(matrices: Array) -> tuple[Array, Mask]:

@@ -46,6 +46,7 @@ class SharedCommands:
         self._robot, self._solver, self._coordinates = robot, solver, coordinates
         self._scales = coordinate_scales(robot, robot.command_coordinates)
         self._units = coordinate_scales(robot, robot.coordinates)
+        self._tolerated = AGREEING  #: greatest difference that needs no warning, twice what was told
 
     def differences(self, q: Matrix, commands: Matrix) -> Matrix:
         """Return the differences of the commands at q from those given, shape=(n, number of commands) [m, rad]."""
@@ -91,7 +92,8 @@ class SharedCommands:
                 found = np.isfinite(near[:, 0])
                 self._improve(answer, off, own[found], commands, near[found], keep_branch=keep_branch)
         worst = np.max(off, initial=0.0, where=off <= most)
-        if worst > AGREEING and described:
+        if worst > self._tolerated and described:
+            self._tolerated = 2.0 * worst
             _logger.warning(
                 "%s: the commands of %d drives contradict each other by up to %.2g rad or characteristic lengths; the "
                 "pose meets them by least squares",
