@@ -18,7 +18,6 @@ from pm3dof_pin.calibration.fit import MIN_POSES, Method
 from pm3dof_pin.calibration.identifiability import minimum_poses
 from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.planning import (
-    MIN_DISTANCE,
     STRATEGIES,
     STRATEGY_OF_METHOD,
     Plan,
@@ -27,6 +26,7 @@ from pm3dof_pin.calibration.planning import (
     order_with_references,
 )
 from pm3dof_pin.calibration.rehearsal import Rehearsal
+from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.source_errors import ErrorSources
@@ -175,7 +175,7 @@ def plan_measurements(
         among: poses to choose from, by default random ones.
         candidates: number of these, by default :data:`CANDIDATES` or :data:`FEWER_CANDIDATES`.
         margin: part of each coordinate's range to exclude at either end.
-        min_distance: see :data:`~pm3dof_pin.calibration.planning.MIN_DISTANCE`.
+        min_distance: see :data:`~pm3dof_pin.calibration.spacing.MIN_DISTANCE`.
         prior: prior standard deviation of the parameters, in tolerances.
         wrench: greatest known wrench on the tool, shape=(6,) [N, N m]; stiffness is then unknown too.
         references: order the poses at random, and repeat one after so many others.
@@ -209,6 +209,7 @@ def plan_measurements(
         )
     choices = touching_poses(drawn, instrument)
     choices = _declared(choices) if among is None else choices
+    Spacing(choices, min_distance).draw(np.arange(len(choices)), poses or 1, np.random.default_rng(seed))  # before work
     near_singular, sizes = 0, np.zeros(len(choices))
     if among is None:
         sizes = _sensitivities(errors, choices)

@@ -25,7 +25,7 @@ from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.calibration.candidate_information import CandidateInformation, Criterion, Determinant, TipVariance
@@ -34,6 +34,7 @@ from pm3dof_pin.calibration.fit import Method
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.identifiability import Identifiability, stacked_regressor
 from pm3dof_pin.calibration.identification import PRIOR
+from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing
 from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -58,13 +59,9 @@ STRATEGY_OF_METHOD: dict[Method, Strategy] = {
 }
 """The strategy for each calibration method."""
 
-MIN_DISTANCE = 0.05
-"""Least distance between two poses of a plan: rms of their command differences divided by the ranges."""
-
 _PROCESS_NOISE = 0.05  # standard deviation of a measured deviation's noise, over that of the deviations
 _MAX_PASSES = 50
 _MIN_GAIN = 1e-9
-_SHUFFLES = 20
 _LARGE = 128  # unknowns, from which directions that no candidate sees are left out
 _UNSEEN = 1e-7  # rows of all candidates, in standard deviations of the prior
 
@@ -128,7 +125,7 @@ class PlanningProblem:
         test_poses: poses at which the tip error is predicted; the candidates by default.
         instrument: what is measured; full poses by default.
         eta: weight of the orientation in the tip error [m/rad].
-        min_distance: see :data:`MIN_DISTANCE`.
+        min_distance: see :data:`~pm3dof_pin.calibration.spacing.MIN_DISTANCE`.
         prior: see :data:`~pm3dof_pin.calibration.identification.PRIOR`.
         wrenches: known wrenches on the tool at each candidate, world axes, shape=(candidates, 6) [N, N m]; with them,
             the stiffness of the springs is unknown too, and the predicted tip error is that under such wrenches.
@@ -166,8 +163,6 @@ class PlanningProblem:
         require_kind("candidates", candidates, Poses, "Robot.solve")
         if not (np.isfinite(prior) and prior > 0.0):
             raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
-        if not min_distance >= 0.0:
-            raise InvalidValueError("min_distance", min_distance, "a non-negative distance")
         self.errors, self.candidates, self._sources = errors, candidates, sources
         self.instrument = instrument or Instrument()
         elastic = ElasticTerm.under(errors.robot, wrenches)
@@ -184,9 +179,7 @@ class PlanningProblem:
         effects = np.concatenate([self.tested.effects, datum * tip_weights(eta)[:, None]], axis=2)
         effects = effects.reshape(-1, self._rows.shape[2])
         self._tip = effects.T @ effects / len(tests.poses)
-        lower, upper = coordinate_ranges(errors.robot, errors.robot.command_coordinates)
-        self._places = candidates.commands / (upper - lower) / np.sqrt(len(lower))
-        self._min_distance = min_distance
+        self._spacing = Spacing(candidates, min_distance)
         self.prior = prior
         self.sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
         self._prior = np.diag(np.concatenate([self.sigmas, self.nuisances.sigmas]) ** -2.0)
@@ -271,47 +264,21 @@ class PlanningProblem:
             "tip-optimal": lambda: self._optimal(count, generator, restarts, Determinant(), TipVariance(self._tip)),
             "space-filling": lambda: self._space_filling(count, generator),
             "process-variance": lambda: self._least_process_variance(count),
-            "least-sensitive": lambda: self._spread(np.flatnonzero(self.least_sensitive), count, generator),
-            "random": lambda: self._spread(np.arange(len(self.candidates)), count, generator),
+            "least-sensitive": lambda: self._spacing.draw(np.flatnonzero(self.least_sensitive), count, generator),
+            "random": lambda: self._spacing.draw(np.arange(len(self.candidates)), count, generator),
         }
         if strategy not in chooser:
             raise InvalidValueError("strategy", strategy, f"one of {', '.join(STRATEGIES)}")
         return np.sort(chooser[strategy]())
-
-    def _near(self, index: int) -> NDArray[np.bool_]:
-        """Tell which candidates are too near to the given one, including itself, shape=(number of candidates,)."""
-        near: NDArray[np.bool_] = np.sum((self._places - self._places[index]) ** 2, axis=1) < self._min_distance**2
-        near[index] = True
-        return near
-
-    def _spread(self, allowed: Indices, count: int, generator: np.random.Generator) -> Indices:
-        """Draw candidates that keep their distance; raise InvalidValueError if too few are found."""
-        most = 0
-        for _ in range(_SHUFFLES):
-            chosen: list[int] = []
-            free = np.zeros(len(self.candidates), dtype=bool)
-            free[allowed] = True
-            for index in generator.permutation(allowed):
-                if len(chosen) < count and free[index]:
-                    chosen.append(int(index))
-                    free &= ~self._near(int(index))
-            if len(chosen) == count:
-                return np.array(chosen, dtype=np.intp)
-            most = max(most, len(chosen))
-        expected = (
-            f"at most about {most} poses at least {self._min_distance:g} of the ranges from each other; "
-            "a smaller distance allows more"
-        )
-        raise InvalidValueError("count", count, expected)
 
     def _space_filling(self, count: int, generator: np.random.Generator) -> Indices:
         """Repeatedly take the candidate farthest from those taken, starting from a random one."""
         chosen = [int(generator.integers(len(self.candidates)))]
         distances = np.full(len(self.candidates), np.inf)
         while len(chosen) < count:
-            distances = np.minimum(distances, np.linalg.norm(self._places - self._places[chosen[-1]], axis=1))
+            distances = np.minimum(distances, self._spacing.from_pose(chosen[-1]))
             chosen.append(int(np.argmax(distances)))
-        self._require_distance(chosen)
+        self._spacing.require(chosen)
         return np.array(chosen, dtype=np.intp)
 
     def _least_process_variance(self, count: int) -> Indices:
@@ -330,9 +297,9 @@ class PlanningProblem:
             )
             best = int(np.argmax(np.where(taken, -np.inf, gains)))
             if taken[best]:
-                self._require_distance([best, best])
+                self._spacing.require([best, best])
             chosen.append(best)
-            taken |= self._near(best)
+            taken |= self._spacing.near(best)
             for drive in drives:
                 column = GaussianProcess.typical_covariance(inputs, inputs[best][None], drive)[:, 0]
                 column -= sum((row * row[best] for row in seen[drive]), np.zeros(len(column)))
@@ -343,13 +310,6 @@ class PlanningProblem:
                 seen[drive].append(row)
         return np.array(chosen, dtype=np.intp)
 
-    def _require_distance(self, chosen: Sequence[int]) -> None:
-        """Check that poses keep their distance."""
-        for position, index in enumerate(chosen):
-            if self._near(index)[list(chosen[position + 1 :])].any():
-                expected = f"fewer, or a distance of less than {self._min_distance:g} of the ranges from each other"
-                raise InvalidValueError("count", len(chosen), expected)
-
     def _optimal(self, count: int, generator: np.random.Generator, restarts: int, *criteria: Criterion) -> Indices:
         """Exchange poses for better ones until none is found, from several random starts, and return the best.
 
@@ -358,7 +318,7 @@ class PlanningProblem:
         best, best_value = np.empty(0, dtype=np.intp), -np.inf
         everything = np.arange(len(self.candidates))
         for _ in range(max(1, restarts)):
-            chosen = self._spread(everything, count, generator)
+            chosen = self._spacing.draw(everything, count, generator)
             for criterion in criteria:
                 chosen = self._exchanged(chosen, criterion)
             value = criteria[-1].value(self.information(chosen))
@@ -371,7 +331,7 @@ class PlanningProblem:
         tip = criterion.tip
         if directions is not None and tip is not None:
             tip = directions.T @ tip @ directions
-        near = np.array([self._near(int(index)) for index in chosen])
+        near = np.array([self._spacing.near(int(index)) for index in chosen])
         for _ in range(_MAX_PASSES):
             swapped = False
             information = self.information(chosen)
@@ -385,7 +345,7 @@ class PlanningProblem:
                 gains[others] = -np.inf
                 winner = int(np.argmax(gains))
                 if gains[winner] > gains[chosen[place]] + _MIN_GAIN * abs(gains[chosen[place]]):
-                    chosen[place], near[place] = winner, self._near(winner)
+                    chosen[place], near[place] = winner, self._spacing.near(winner)
                     state = without.changed(winner, 1.0)
                     swapped = True
             if not swapped:

@@ -1,0 +1,77 @@
+"""Distances between the poses of a plan: poses next to each other see the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array, Indices, Mask
+
+MIN_DISTANCE = 0.05
+"""Least distance between two poses of a plan: rms of their command differences divided by the ranges."""
+
+_SHUFFLES = 20
+
+
+class Spacing:
+    """Poses to choose from, and how far from each other those chosen must be.
+
+    Raises:
+        InvalidValueError: the distance is negative.
+    """
+
+    def __init__(self, poses: Poses, distance: float = MIN_DISTANCE) -> None:
+        if not distance >= 0.0:
+            raise InvalidValueError("min_distance", distance, "a non-negative distance")
+        lower, upper = coordinate_ranges(poses.robot, poses.robot.command_coordinates)
+        self._places = poses.commands / (upper - lower) / np.sqrt(len(lower))
+        self._distance = distance
+
+    def from_pose(self, index: int) -> Array:
+        """Return the distances of all poses from one of them, shape=(n,)."""
+        return np.asarray(np.linalg.norm(self._places - self._places[index], axis=1))
+
+    def near(self, index: int) -> Mask:
+        """Tell which poses are too near to the given one, including itself, shape=(n,)."""
+        near = self.from_pose(index) < self._distance
+        near[index] = True
+        return np.asarray(near)
+
+    def draw(self, allowed: Indices, count: int, generator: np.random.Generator) -> Indices:
+        """Draw some of the allowed poses that keep their distance.
+
+        Raises:
+            InvalidValueError: too few are found.
+        """
+        most = 0
+        for _ in range(_SHUFFLES):
+            chosen: list[int] = []
+            free = np.zeros(len(self._places), dtype=bool)
+            free[allowed] = True
+            for index in generator.permutation(allowed):
+                if len(chosen) < count and free[index]:
+                    chosen.append(int(index))
+                    free &= ~self.near(int(index))
+            if len(chosen) == count:
+                return np.array(chosen, dtype=np.intp)
+            most = max(most, len(chosen))
+        expected = (
+            f"at most about {most} poses at least {self._distance:g} of the ranges from each other; "
+            "a smaller distance allows more"
+        )
+        raise InvalidValueError("count", count, expected)
+
+    def require(self, chosen: Sequence[int]) -> None:
+        """Check that poses keep their distance.
+
+        Raises:
+            InvalidValueError: two do not.
+        """
+        for position, index in enumerate(chosen):
+            if self.near(index)[list(chosen[position + 1 :])].any():
+                expected = f"fewer, or a distance of less than {self._distance:g} of the ranges from each other"
+                raise InvalidValueError("count", len(chosen), expected)
