@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Protocol
 
@@ -52,8 +53,10 @@ def read_firmware(path: Path, text: str) -> FirmwareFile:
     Raises:
         MeasurementError: it is of no firmware that is known.
     """
-    if "[printer]" in text:
+    if re.search(r"^\[printer\]", text, re.MULTILINE | re.IGNORECASE):
         return KlipperFile.parse(path, text)
     if "M665" in text:
         return GCodeLog.parse(path, text)
-    raise MeasurementError(path, "neither Klipper's [printer] nor M665 of RepRapFirmware or Marlin: no delta printer")
+    raise MeasurementError(
+        path, "neither Klipper's section [printer] nor M665 of RepRapFirmware or Marlin: no delta printer"
+    )

@@ -2,20 +2,22 @@
 
 A touch is saved as the steps that each drive took from its end stop, so it depends on no parameter. A step is
 rotation_distance / (full steps x microsteps x gears), in millimetres, or 2 pi for a drive that turns; older files have
-step_distance. Options in the block that SAVE_CONFIG writes override those above it.
+step_distance. Options in the block that SAVE_CONFIG writes override those above it. Files that are included are read
+where they lie beside the file or below it; what stands in them is not changed.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.files import read_text
 from pm3dof_pin.printers.bed_mesh import POINTS, BedMesh
 from pm3dof_pin.printers.delta_printer import AXES, DeltaPrinter
 from pm3dof_pin.printers.touches import Touches
@@ -27,6 +29,7 @@ _NOTE = "#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated."
 _SECTION, _OPTION = re.compile(r"\[([^\]]+)\]"), re.compile(r"([^:=\s][^:=]*?)\s*[:=]\s*(.*)")
 _ANGLES = {"delta": (210.0, 330.0, 90.0), "rotary_delta": (30.0, 150.0, 270.0)}
 _FULL_STEPS = 200.0
+_MAX_INCLUDES = 100  # files
 _MESH = "bed_mesh default"
 
 
@@ -38,6 +41,8 @@ class KlipperFile:
     lines: tuple[str, ...]  #: its lines above the saved block
     saved: Mapping[str, Mapping[str, str]]  #: options of the saved block, by section
     options: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  #: all options, saved ones first
+    included: Mapping[tuple[str, str], str] = field(default_factory=dict)  #: the files of options that are included
+    not_found: tuple[str, ...] = ()  #: files that it includes, and that do not lie beside it
 
     firmware = "Klipper"
     most_parameters = 9
@@ -45,17 +50,23 @@ class KlipperFile:
 
     @classmethod
     def parse(cls, path: Path, text: str) -> KlipperFile:
-        """Read sections and options; later ones override earlier ones, and saved ones both."""
+        """Read sections and options; later ones override earlier ones, and saved ones both.
+
+        Raises:
+            MeasurementError: it includes itself, or too many files.
+        """
         above: dict[str, dict[str, str]] = {}
         saved: dict[str, dict[str, str]] = {}
-        lines, section, last = [], {True: "", False: ""}, ""
-        for line in text.splitlines():
+        lines, section, last, included, not_found = [], {True: "", False: ""}, "", {}, list[str]()
+        for file, line in _expanded(path, text, not_found, [path]):
             is_saved = line.startswith(_SAVED)
             words = line[len(_SAVED) :].strip() if is_saved else line.split("#", 1)[0].rstrip()
+            if is_saved and file != path:
+                continue  # Klipper saves into the main file only
             if is_saved and last and words and line.removeprefix(f"{_SAVED} ").startswith((" ", "\t")):
                 saved[section[True]][last] += f"\n\t{words}"  # a row of a bed mesh
                 continue
-            if not is_saved:
+            if not is_saved and file == path:
                 lines.append(line)
             table = saved if is_saved else above
             if found := _SECTION.match(words):
@@ -65,8 +76,11 @@ class KlipperFile:
                 name = option[1].strip().lower()
                 table.setdefault(section[is_saved], {})[name] = option[2].strip()
                 last = name if is_saved else last
+                if file != path:
+                    included[section[False], name] = file.name
         names = {*above, *saved}
-        return cls(path, tuple(lines), saved, {n: {**above.get(n, {}), **saved.get(n, {})} for n in names})
+        options = {n: {**above.get(n, {}), **saved.get(n, {})} for n in names}
+        return cls(path, tuple(lines), saved, options, included, tuple(not_found))
 
     @property
     def meshes(self) -> tuple[str, ...]:
@@ -132,7 +146,8 @@ class KlipperFile:
         A mesh becomes the bed mesh `default`.
 
         Raises:
-            MeasurementError: there is a mesh, and the file has no section [bed_mesh].
+            MeasurementError: there is a mesh, and the file has no section [bed_mesh]; or a number stands in an included
+                file, over which Klipper takes no saved one.
         """
         written: dict[str, dict[str, float]] = {name: {} for name in ("printer", *(f"stepper_{a}" for a in AXES))}
         if printer.is_rotary:
@@ -145,6 +160,11 @@ class KlipperFile:
             if not printer.is_rotary:
                 own["arm_length"] = printer.arms[k]
             own["position_endstop"] = printer.end_stops[k]
+        for (name, number), where in self.included.items():
+            if number in written.get(name, {}):
+                raise MeasurementError(
+                    self.path, f"[{name}] {number} stands in {where}: move it into this file, where Klipper saves it"
+                )
         lines, section = [], ""
         for line in self.lines:
             if found := _SECTION.match(line):
@@ -175,8 +195,11 @@ class KlipperFile:
 
     def _numbered(self, name: str, ends: tuple[str, ...]) -> list[tuple[float, list[Array]]]:
         own, found = self.options.get("delta_calibrate", {}), list[tuple[float, list[Array]]]()
-        while f"{name}{len(found)}" in own:
-            label = f"{name}{len(found)}"
+        numbers = [int(match[1]) for option in own if (match := re.fullmatch(rf"{name}(\d+)(_pos\d*)?", option))]
+        for label in (f"{name}{number}" for number in range(max(numbers, default=-1) + 1)):
+            if label not in own:
+                problem = f"{label} is missing, and {name}{max(numbers)} or its position is there: expected all of them"
+                raise MeasurementError(self.path, f"[delta_calibrate] {problem}")
             places = []
             for end in ends:
                 words = own.get(label + end, "").split(",")
@@ -195,8 +218,10 @@ class KlipperFile:
     def _step(self, axis: str, *, rotary: bool) -> float:
         """Return a drive's travel in one step [m, rad]."""
         section = f"stepper_{axis}"
-        if "step_distance" in self.options.get(section, {}):
-            return self._number(section, "step_distance") * (1.0 if rotary else 1e-3)
+        if "step_distance" in self.options.get(section, {}) or "rotation_distance" not in self.options.get(section, {}):
+            distance = self._number(section, "step_distance", self._fallback("step_distance", 0.0))
+            if distance:
+                return distance * (1.0 if rotary else 1e-3)
         turn = (
             2.0 * math.pi
             if rotary
@@ -219,14 +244,15 @@ class KlipperFile:
             raise MeasurementError(self.path, problem)
         return turn / steps
 
-    def _fallback(self, option: str) -> float | None:
-        return self._number("stepper_a", option) if option in self.options.get("stepper_a", {}) else None
+    def _fallback(self, option: str, default: float | None = None) -> float | None:
+        return self._number("stepper_a", option, default) if option in self.options.get("stepper_a", {}) else default
 
     def _word(self, section: str, option: str) -> str:
         try:
             return self.options[section][option]
         except KeyError as error:
-            raise MeasurementError(self.path, f"[{section}] {option} is missing") from error
+            elsewhere = f"; it includes {', '.join(self.not_found)}, not found beside it" if self.not_found else ""
+            raise MeasurementError(self.path, f"[{section}] {option} is missing{elsewhere}") from error
 
     def _number(self, section: str, option: str, default: float | None = None) -> float:
         if default is not None and option not in self.options.get(section, {}):
@@ -239,6 +265,30 @@ class KlipperFile:
         if not math.isfinite(value):
             raise MeasurementError(self.path, f"[{section}] {option}: expected a number, not '{word}'")
         return value
+
+
+def _expanded(path: Path, text: str, not_found: list[str], files: list[Path]) -> Iterator[tuple[Path, str]]:
+    """Yield the lines of a file and of those that it includes, each with its file; extend the lists of files."""
+    for line in text.splitlines():
+        yield path, line
+        found = _SECTION.match(line)
+        words = found[1].split(maxsplit=1) if found else []
+        if len(words) < 2 or words[0].lower() != "include":
+            continue
+        folder = files[0].parent.resolve()
+        pattern = words[1].strip()
+        try:
+            found_files = filter(Path.is_file, path.parent.glob(pattern))
+            chosen = sorted(each for each in found_files if each.resolve().is_relative_to(folder))
+        except (ValueError, NotImplementedError, OSError):  # no pattern, or from the root
+            chosen = []
+        if not chosen:
+            not_found.append(pattern)
+        for each in chosen:
+            files.append(each)
+            if len(files) > _MAX_INCLUDES:
+                raise MeasurementError(files[0], f"includes more than {_MAX_INCLUDES} files; does one include itself?")
+            yield from _expanded(each, read_text(each), not_found, files)
 
 
 def _mesh_options(mesh: BedMesh) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import scipy.interpolate
 import scipy.optimize
 
 import pm3dof_pin as pm
-from pm3dof_pin.exceptions import CalibrationRefusedError, OutputError, PM3DofError
+from pm3dof_pin.exceptions import CalibrationRefusedError, MeasurementError, OutputError, PM3DofError
 from pm3dof_pin.printers.firmware import read_firmware
 from pm3dof_pin.printers.printer_calibration import calibrate_printer
 
@@ -195,6 +196,45 @@ def test_the_new_file_replaces_the_old_numbers(travels: np.ndarray, tmp_path: Pa
     assert calibrate_printer(tmp_path / "saved.cfg", on_refusal="keep").gain < 1.0
 
 
+def test_included_files_are_read_and_stay_as_they_are(travels: np.ndarray, tmp_path: Path) -> None:
+    path, text = tmp_path / "printer.cfg", klipper(Delta(), travels)
+    motors = "".join(f"[stepper_{axis}]\nmicrosteps: 16\nrotation_distance: 40  # belt\n" for axis in "abc")
+    apart = re.sub("(microsteps|rotation_distance): .*\n", "", text)
+    path.write_text(f"[include more/*.cfg]\n[include /etc/passwd]\n[include ../*]\n{apart}")
+    with pytest.raises(MeasurementError, match=r"rotation_distance is missing; it includes more/\*\.cfg, .* not found"):
+        calibrate_printer(path)
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "motors.cfg").write_text(motors)
+    whole = tmp_path / "whole.cfg"
+    whole.write_text(text)
+    assert calibrate_printer(path).after == calibrate_printer(whole).after
+    (tmp_path / "more" / "motors.cfg").write_text(f"{motors}[include ../printer.cfg]\n")
+    with pytest.raises(MeasurementError, match="include itself"):
+        calibrate_printer(path)
+    (tmp_path / "more" / "motors.cfg").write_text(f"{motors}[printer]\ndelta_radius: 130\n")
+    found = calibrate_printer(path)
+    with pytest.raises(MeasurementError, match=r"delta_radius stands in motors\.cfg"):
+        found.save(tmp_path / "out")
+
+
+@pytest.mark.parametrize("lost", [r"#\*# height3 = .*\n", r"#\*# height3(_pos)? = .*\n"])
+def test_touches_with_a_number_missing_are_refused(lost: str, travels: np.ndarray, tmp_path: Path) -> None:
+    (tmp_path / "printer.cfg").write_text(re.sub(lost, "", klipper(Delta(), travels)))
+    with pytest.raises(MeasurementError, match="height3 is missing"):
+        calibrate_printer(tmp_path / "printer.cfg")
+
+
+def test_steps_of_one_drive_are_those_of_all_and_comments_are_none(travels: np.ndarray, tmp_path: Path) -> None:
+    text = re.sub("(microsteps|rotation_distance): .*\n", "", klipper(Delta(), travels))
+    (tmp_path / "printer.cfg").write_text(text.replace("[stepper_a]", f"[stepper_a]\nstep_distance: {MICROSTEP}"))
+    (tmp_path / "usual.cfg").write_text(klipper(Delta(), travels))
+    one, other = (calibrate_printer(tmp_path / name).after for name in ("printer.cfg", "usual.cfg"))
+    np.testing.assert_allclose(one.end_stops, other.end_stops, rtol=1e-9)
+    log = tmp_path / "bed.log"
+    log.write_text("; not a [printer] of Klipper\nM665 L270 R130 H245\nM666 X0 Y0 Z0\n")
+    assert read_firmware(log, log.read_text()).firmware == "RepRapFirmware"
+
+
 def test_a_rotary_delta(tmp_path: Path) -> None:
     """Elbows of upper arms about shoulders, then three spheres."""
     angles, upper, lower = np.radians([30.0, 150.0, 270.0]), 170.0, 320.0
@@ -351,8 +391,8 @@ DAMAGES = (
     ("delta_radius: 130.0", "delta_radius: nan", "expected a number"),
     ("microsteps: 16", "", "microsteps is missing"),
     ("height3_pos = ", "height3_pos = 1,", "height3_pos: expected the steps of three drives"),
-    ("height0 = 0.0", "nothing = 0.0", "no touches"),
-    ("height4 = 0.0", "nothing = 0.0", "4 touches for 6 parameters"),
+    ("height0 = 0.0", "nothing = 0.0", "height0 is missing"),
+    ("height4 = 0.0", "nothing = 0.0", "height4 is missing"),
     ("[printer]", "[machine]", "no delta printer"),
     ("rotation_distance: 40", "rotation_distance: 400", "no printer near these numbers"),
 )
@@ -364,4 +404,10 @@ def test_damaged_files(travels: np.ndarray, tmp_path: Path, old: str, new: str, 
     assert old in text
     (tmp_path / "printer.cfg").write_text(text.replace(old, new))
     with pytest.raises(PM3DofError, match=words):
+        calibrate_printer(tmp_path / "printer.cfg")
+
+
+def test_fewer_touches_than_parameters_are_refused(travels: np.ndarray, tmp_path: Path) -> None:
+    (tmp_path / "printer.cfg").write_text(klipper(Delta(), travels[:5]))
+    with pytest.raises(CalibrationRefusedError, match="5 touches for 6 parameters: touch at least 7"):
         calibrate_printer(tmp_path / "printer.cfg")
