@@ -14,7 +14,7 @@ A learned correction without parameters needs other poses, because it only knows
 Space-filling poses are as far from each other as possible, chosen greedily (T. Gonzalez, 1985); those of least process
 variance greedily minimise the remaining variance of a Gaussian process over the test poses (J. Sacks et al., Design
 and analysis of computer experiments, 1989). Which strategy suits which method was found on simulated machines:
-docs/calibration_theory.md.
+docs/calibration_poses.md.
 """
 
 from __future__ import annotations

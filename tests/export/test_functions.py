@@ -201,7 +201,7 @@ def test_natural_frequencies_from_their_program(exported: Exported) -> None:
 
 
 def test_the_page_and_the_help_name_every_quantity(run: Callable[..., Any]) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "command_line.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "commands" / "files.md").read_text(encoding="utf-8")
     text = run("export", "function", "--of", "nothing").stderr
     for name in (*KINEMATICS, *QUANTITIES):
         assert f"`{name}`" in page

@@ -194,9 +194,16 @@ def _python(arguments: list[str], folder: Path) -> str:
 def test_every_command_is_documented() -> None:
     from pm3dof_pin.cli.app import COMMANDS
 
-    page = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
+    pages = "".join(page.read_text(encoding="utf-8") for page in DOCS if page.parent.name == "commands")
     for command in COMMANDS:
-        assert f"$ pm3dof {command}" in page, f"docs/command_line.md shows no `pm3dof {command}`"
+        assert f"$ pm3dof {command}" in pages, f"no page in docs/commands shows `pm3dof {command}`"
+
+
+def test_no_page_is_long() -> None:
+    """Whoever looks for one answer reads one page. The chapter's own pages follow the chapter."""
+    for page in DOCS:
+        words = len(page.read_text(encoding="utf-8").split())
+        assert words <= 2300 or page.stem in ("theory", "chapter_statements"), f"{page.name}: {words} words"
 
 
 def test_every_room_is_in_the_api() -> None:
