@@ -112,12 +112,7 @@ class MeasurementPlan:
     def _predicted(self, strategy: Strategy) -> float:
         if strategy == self.plan.strategy:
             return self.plan.predicted_tip_rms
-        try:
-            return float(
-                self.problem.accuracy_curve([len(self.plan.indices)], strategy, seeds(strategy, self.seed)).mean()
-            )
-        except InvalidValueError:
-            return float("nan")
+        return float(self.problem.accuracy_curve([len(self.plan.indices)], strategy, seeds(strategy, self.seed)).mean())
 
 
 def seeds(strategy: Strategy, seed: int = 0) -> Sequence[int]:

@@ -27,7 +27,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import require_kind
+from pm3dof_pin.arrays import require_choice, require_kind
 from pm3dof_pin.calibration.candidate_information import CandidateInformation, Criterion, Determinant, TipVariance
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.fit import Method
@@ -250,10 +250,18 @@ class PlanningProblem:
         return float(np.sqrt(np.trace(np.linalg.solve(self.information(indices), self._tip)[known, known])))
 
     def accuracy_curve(self, counts: Sequence[int], strategy: Strategy, seeds: Iterable[int]) -> Array:
-        """Return the predicted tip error against the number of poses, shape=(counts, seeds) [m]; see :meth:`plan`."""
+        """Return the predicted tip error against the number of poses, shape=(counts, seeds) [m]; see :meth:`plan`.
+
+        NaN where so many poses do not fit apart.
+        """
+        require_choice("strategy", strategy, Strategy)
 
         def predicted(count: int, seed: int) -> float:
-            return self.predicted_tip_rms(self._chosen(count, strategy, np.random.default_rng(seed), restarts=1))
+            try:
+                chosen = self._chosen(count, strategy, np.random.default_rng(seed), restarts=1)
+            except InvalidValueError:
+                return float("nan")
+            return self.predicted_tip_rms(chosen)
 
         every = list(seeds)
         return np.array([[predicted(count, seed) for seed in every] for count in counts])

@@ -155,7 +155,7 @@ def _draw(problem: PlanningProblem, minimum: int, path: Path, formats: list[Pict
     from pm3dof_pin.figures.style import save_figure
 
     curves: dict[str, Any] = {name: problem.accuracy_curve(COUNTS, name, seeds(name)) for name in STRATEGIES}
-    figure = plan_accuracy(COUNTS, curves, minimum)
+    figure = plan_accuracy(COUNTS, curves, minimum, problem.errors.robot.name)
     return save(figure, path, formats) if formats else [save_figure(figure, path)]
 
 

@@ -49,6 +49,8 @@ class ColorScale:
         """Return round values for the colour bar."""
         if self.kinds:
             return list(self.kinds)
+        if len(self.levels) == 2:  # constant
+            return [float(f"{self.levels.mean():.4g}")]
         if not self.logarithmic:
             every, step = 1 if len(self.levels) < _MANY_LEVELS else 2, self.levels[1] - self.levels[0]
             return [float(level) for level in self.levels if round(level / step) % every == 0]

@@ -33,6 +33,11 @@ JOBS = [
         *("receptance", "--robot", "pm3dof", "--from", "tool:x", "--from", "tool:y"),
         *("--cutting", "kc=6e8,kr=0.3,teeth=3,ae=0.5,ap=0.0002", "--folder"),
     ),
+    ("stiffness-map", "--robot", "pm3dof", "--points", "9", "--out"),  # constant along x
+    *(
+        ("calibration-plan", "--robot", robot, "--candidates", "60", "--out", "{}/plan.csv", "--picture", "{}/plan.png")
+        for robot in (str(MACHINES / "five_bar"), "hexapod")
+    ),
     ("workspace", "--robot", "hexapod", "--out"),
     ("workspace", "--robot", str(MACHINES / "five_bar"), "--out"),
 ]
@@ -93,7 +98,8 @@ def test_no_text_leaves_a_picture(job: tuple[str, ...], tmp_path: Path, monkeypa
         return path
 
     monkeypatch.setattr(style, "save_figure", remember)
-    result = CliRunner().invoke(app, [*job, str(tmp_path)])
+    folder = [] if "{}" in job[-1] else [str(tmp_path)]
+    result = CliRunner().invoke(app, [*(word.replace("{}", str(tmp_path)) for word in job), *folder])
     assert result.exit_code == 0, result.output
     assert drawn
     for figure in drawn:
