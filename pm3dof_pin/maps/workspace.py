@@ -314,7 +314,8 @@ def _search(space: LimitSpace) -> tuple[Array, Array]:
         UnreachablePoseError: there are none.
         InvalidValueError: the set has no end.
     """
-    count, box = max(9, round(_SEARCH_POINTS * space.density)), space.box
+    fewest, box = max(9, round(_SEARCH_POINTS * space.density)), space.box
+    count = fewest
     widest = _MAX_DISTANCE * np.ptp(box, axis=1)
     for _ in range(_MAX_SEARCHES):
         nodes = _nodes([np.linspace(low, high, count) for low, high in box]).reshape(-1, len(box))
@@ -322,6 +323,8 @@ def _search(space: LimitSpace) -> tuple[Array, Array]:
         if space.within(space.start):
             inside = np.vstack([inside, space.start])
         if not len(inside):
+            if count == fewest and space.limits[0] == "reach" and space.broken_limits(space.start) & 1:
+                break  # not even home is in reach
             count = 2 * count - 1
             if count ** len(box) > _MAX_POINTS**3 * space.density:
                 break
