@@ -1,7 +1,7 @@
 """Correct only by what is certain enough: a machine's commands must not be made worse.
 
 The identified parameters x are wrong by a d of covariance S, and they move the tool by E x. Commands corrected for the
-parameters y correct T y, where T = C C^+ E is the part of E that the drives undo. Over the measured poses the gain is
+parameters y correct T y, where T = C C^+ E is the part of E that the drives undo. Over the workspace the gain is
 
     g = sum |E (x + d)|^2 - |E (x + d) - T y|^2,
 
@@ -11,7 +11,8 @@ gains most is
 
     y = (1 + m S M)^-1 x,    M = sum T^T T,
 
-with a multiplier m >= 0: the more uncertain a direction is, the less it is corrected.
+with a multiplier m >= 0: the more uncertain a direction is, the less it is corrected. The sum is not over the measured
+poses: those at which a line is touched say little of the others, where the machine works.
 """
 
 from __future__ import annotations
@@ -23,12 +24,14 @@ import scipy
 
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.errors.command_correction import weighted_control
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.typing import Array
 
 HARM = 0.01
 """Admissible probability, given the parameters, that corrected commands are worse than uncorrected ones."""
 
 _POSES = 200  # at which it is evaluated
+_SINGULAR = 3.0  # times the median effect of the tolerances: a few poses beyond it would outweigh all others
 _MULTIPLIERS = np.logspace(-4.0, 6.0, 81)  # in units of the trace of S M
 
 
@@ -42,14 +45,19 @@ class Gain:
     corrected: Array  #: T, shape=(n, 6, parameters)
 
     @classmethod
-    def from_compensation(cls, compensation: Compensation, commands: Array) -> Gain | None:
-        """Return the gain of identified parameters at commands, shape=(n, commands); None for a method without them."""
+    def from_compensation(cls, compensation: Compensation) -> Gain | None:
+        """Return the gain of identified parameters over the workspace; None for a method without them."""
         values, covariance = compensation.values, compensation.known_covariance
         if values is None or covariance is None:
             return None
-        poses = compensation.errors.robot.forward(commands[:: max(1, len(commands) // _POSES)])
-        effects = compensation.effects(compensation.model_poses(poses))
-        control = weighted_control(poses, compensation.eta)
+        poses = reachable_poses(compensation.errors.robot, _POSES, np.random.default_rng(0))
+        # near singular poses the calibrated machine may not reach what the described one does
+        model = compensation.model_poses(poses, on_failure="nan")
+        poses, model = poses[model.solved], model[model.solved]
+        effects = compensation.effects(model)
+        sizes = np.linalg.norm(effects[:, :, : len(values)] * compensation.errors.tolerances, axis=(1, 2))
+        regular = sizes <= _SINGULAR * np.median(sizes)
+        effects, control = effects[regular], weighted_control(poses[regular], compensation.eta)
         corrected = control @ (np.linalg.pinv(control) @ effects[:, :, : len(values)])
         return cls(values, covariance, effects, corrected)
 

@@ -27,7 +27,6 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.typing import Array
 
 logger = logging.getLogger(__name__)
 
@@ -83,11 +82,11 @@ class Fit:
 
     @cached_property
     def gain(self) -> Gain | None:
-        """Gain of the corrections over the measured commands; None for a method without parameters."""
+        """Gain of the corrections over the workspace; None for a method without parameters."""
         if not self.options.identifies:
             return None
         whole = Compensation.from_identification(self.identification, self.options.eta)
-        return Gain.from_compensation(whole, self.measurements.visits.commands)
+        return Gain.from_compensation(whole)
 
     @property
     def chance_of_harm(self) -> float:
@@ -198,7 +197,7 @@ def compensation_from(
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:
         whole = Compensation.from_identification(identification, options.eta)
-        compensation = _cautious(whole, measurements.visits.commands)
+        compensation = _cautious(whole)
         measurements = compensation.without_loads(measurements)
     if not options.learns:
         return compensation
@@ -243,12 +242,12 @@ def _gaps(identification: Identification) -> Iterator[str]:
         yield f"outliers, not used for learning: lines {', '.join(map(str, identification.outlier_lines))}"
 
 
-def _cautious(compensation: Compensation, commands: Array) -> Compensation:
-    """Return a compensation reduced to what is certain enough over measured commands, shape=(n, commands).
+def _cautious(compensation: Compensation) -> Compensation:
+    """Return a compensation reduced to what is certain enough.
 
     The rest stays uncertain: it is added to the covariance.
     """
-    gain = Gain.from_compensation(compensation, commands)
+    gain = Gain.from_compensation(compensation)
     if gain is None or compensation.covariance is None:
         return compensation
     values = gain.sure_values()

@@ -146,7 +146,7 @@ class Linearisation:
                 last, last_factors = weights, factors
                 squares = self.squares(x)
                 if start is None and kind != "tukey":
-                    factors = self.noise_factors(squares)
+                    factors = self.noise_factors(squares, factors)
                 weights = _weights(squares @ factors**-2.0, dimensions, kind)
                 x = self._solve(weights, factors)
                 if max(np.abs(weights - last).max(), np.abs(factors - last_factors).max()) < _SETTLED:
@@ -157,10 +157,15 @@ class Linearisation:
         """Return |r_k|^2 of each kind of coordinate, shape=(n, kinds)."""
         return np.asarray(self.left_over(x) ** 2 @ self.kinds)
 
-    def noise_factors(self, squares: Array) -> Array:
-        """Return the ratio of the residuals' scatter to their sigmas, at least 1; the median ignores outliers."""
-        factors = np.ones(len(self._used))
-        for kind, (used, own) in enumerate(zip(self._used, self.dimensions.T, strict=True)):
+    def noise_factors(self, squares: Array, before: Array) -> Array:
+        """Return the ratio of the residuals' scatter to their sigmas, at least 1; the median ignores outliers.
+
+        Args:
+            squares: of the residuals, shape=(n, kinds).
+            before: the factors with which these were fitted, shape=(kinds,): with more noise, parameters absorb less.
+        """
+        factors = np.ones(len(before))
+        for kind, (used, own) in enumerate(zip(self._used(before), self.dimensions.T, strict=True)):
             if (seen := own > 0).any():
                 median = np.median(squares[seen, kind] / _chi_square_quantile(0.5, own[seen]))
                 freedom = max(_MIN_FREEDOM, 1.0 - used / own.sum())
@@ -222,18 +227,23 @@ class Linearisation:
         shifts = (np.concatenate(pulls) / self.units) @ known.T
         return np.asarray(np.sqrt(np.sum(shifts**2, axis=0)))
 
-    @cached_property
-    def _used(self) -> Array:
-        """Degrees of freedom that the parameters use up in each kind of coordinate."""
+    def _used(self, factors: Array) -> Array:
+        """Return the degrees of freedom that the parameters use up in each kind of coordinate, given noise factors."""
         sigmas = np.minimum(self.sigmas, UNKNOWN)
         if np.isinf(self.prior):
             u, s, _ = np.linalg.svd((self.rows * sigmas).reshape(-1, len(sigmas)), full_matrices=False)
             leverages = u**2 @ (s > REGRESSOR_TOLERANCE * s.max(initial=0.0))
             return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
-        parts = [(self.rows[:, own] * sigmas).reshape(-1, len(sigmas)) for own in self.kinds.T > 0.0]
-        blocks = [part.T @ part for part in parts]
+        blocks = [block / factor**2 for block, factor in zip(self._blocks, factors, strict=True)]
         inverse = np.linalg.inv(sum(blocks, np.eye(len(sigmas))))
         return np.array([np.sum(block * inverse) for block in blocks])
+
+    @cached_property
+    def _blocks(self) -> list[Array]:
+        """The information of each kind of coordinate at the noise of its sigmas, in units of the prior."""
+        sigmas = np.minimum(self.sigmas, UNKNOWN)
+        parts = [(self.rows[:, own] * sigmas).reshape(-1, len(sigmas)) for own in self.kinds.T > 0.0]
+        return [part.T @ part for part in parts]
 
     @cached_property
     def _seen(self) -> tuple[Array, Array, Array | None]:

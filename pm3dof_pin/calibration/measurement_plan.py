@@ -27,6 +27,7 @@ from pm3dof_pin.calibration.planning import (
 )
 from pm3dof_pin.calibration.rehearsal import Rehearsal
 from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing
+from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.source_errors import ErrorSources
@@ -35,7 +36,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.instruments.table import placed_instrument
-from pm3dof_pin.measuring.observation import touching_poses
+from pm3dof_pin.measuring.observation import planned_measurements, touching_poses
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Indices, Mask
@@ -66,6 +67,7 @@ _BEYOND = 1.5  # see MACHINES
 _ROUNDS = 8  # of replacing poses at which some machine cannot be assembled
 _USUAL = 1.2  # times the median sensitivity: poses below it are never left out for being as sensitive as another
 _FEWEST = 0.3  # fraction of the candidates that must remain
+_NAMED = 4  # unknowns in a message
 _MORE = 4  # times as many candidates are drawn where only some are usable
 _ONCE: tuple[Strategy, ...] = ("space-filling", "least-sensitive", "random")
 
@@ -248,6 +250,8 @@ def plan_measurements(
             f"{robot.name}: machines {OUT_OF_TOLERANCE:g} tolerances out cannot be assembled at {int(open_.sum())} of "
             f"{count} planned poses; a greater margin leaves out the ends of the ranges"
         )
+    _require_sight(plan.poses, instrument)
+    _require_places(problem, plan)
     order = np.arange(count) if references is None else order_with_references(plan.poses, references, seed)
     loads = {}
     if wrenches is not None:
@@ -268,6 +272,28 @@ def _sensitivities(errors: GeometricErrors, poses: Poses) -> Array:
     """Return how far errors of the parts move the tool at each pose, relative to the median, shape=(n,)."""
     sizes = np.linalg.norm(error_map(errors, poses).weighted * errors.tolerances, axis=(1, 2))
     return np.asarray(sizes / np.median(sizes))
+
+
+def _require_sight(poses: Poses, instrument: Instrument) -> None:
+    """Raise InvalidValueError for an instrument that sees no motion of the drives, whatever it tells of the parts."""
+    if instrument.locked or instrument.encoders:
+        return
+    seen = planned_measurements(poses, instrument)
+    drives = command_jacobians(poses)[seen.pose_numbers] * np.ptp(poses.commands, axis=0)
+    if not (np.abs(seen.derivatives(poses[seen.pose_numbers], drives)) > seen.sigmas[:, :, None]).any():
+        problem = f"sees nothing of what the drives of {poses.robot.name} move, so no command could be corrected"
+        raise InvalidValueError("instrument", problem=problem, expected="another one, or another point")
+
+
+def _require_places(problem: PlanningProblem, plan: Plan) -> None:
+    """Raise InvalidValueError if what the rows are measured against cannot be located by them."""
+    if not (names := problem.unlocated(plan.indices)):
+        return
+    some = ", ".join(names[:_NAMED]) + (" ..." if len(names) > _NAMED else "")
+    if problem.unlocated(np.arange(len(problem.candidates))):
+        why = f"stays on a line or at one place, which does not tell {some}"
+        raise InvalidValueError("the point seen", problem=why, expected="one beside it, that turns with the tool")
+    raise InvalidValueError("poses", problem=f"are too few to tell {some}", expected=f"more than {len(plan.indices)}")
 
 
 def _assembled(errors: GeometricErrors, poses: Poses, machines: int, seed: int) -> Mask:

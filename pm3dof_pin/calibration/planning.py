@@ -59,6 +59,10 @@ STRATEGY_OF_METHOD: dict[Method, Strategy] = {
 }
 """The strategy for each calibration method."""
 
+LOCATED = 0.1
+"""Standard deviation of a datum's placement beyond which it is nowhere [m, rad]: derivatives hold no farther than that,
+and a fit to such measurements does not converge."""
+
 _PROCESS_NOISE = 0.05  # standard deviation of a measured deviation's noise, over that of the deviations
 _MAX_PASSES = 50
 _MIN_GAIN = 1e-9
@@ -239,6 +243,14 @@ class PlanningProblem:
         """Return the standard deviation of each unknown after measuring some candidates, by name [m, rad, 1]."""
         spread = np.sqrt(np.diag(np.linalg.inv(self.information(indices))))[: len(self.unknowns)]
         return dict(zip(self.unknowns, (spread * self.tolerances).tolist(), strict=True))
+
+    def unlocated(self, indices: ArrayLike) -> list[str]:
+        """Return the unknowns of datums' placements that some candidates leave open: worse than :data:`LOCATED`."""
+        spread = np.sqrt(np.diag(np.linalg.inv(self.information(indices))))[len(self.unknowns) :]
+        kinds = {each.kind.name for each in self.instrument.placed}
+        chosen = [column for kind in sorted(kinds) for column in self.nuisances.columns(kind)]
+        sigmas = spread * self.nuisances.scales
+        return [self.nuisances.names[column] for column in chosen if sigmas[column] > LOCATED]
 
     def predicted_tip_rms(self, indices: ArrayLike) -> float:
         """Return the remaining tip error after measuring some candidates, over the test poses [m].

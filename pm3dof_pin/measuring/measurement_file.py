@@ -458,7 +458,8 @@ class _Reader:
         copies = [n for n, row in zip(table.lines, rows, strict=True) if first.setdefault(row.tobytes(), n) != n]
         if copies:
             table.warn("copies of earlier lines; each copy counts", copies)
-        places = np.hstack([table.matrix(self._command_columns), points, self._seen])
+        against = table.matrix([kind.name for kind in self._kinds if kind.name in table])
+        places = np.hstack([table.matrix(self._command_columns), points, self._seen, np.nan_to_num(against)])
         if {*_POSITION} <= {*table.columns}:
             measured = table.matrix([name for name in (*_POSITION, *_QUATERNION) if name in table])
             _, origin, again = np.unique(np.round(measured / SAME), axis=0, return_index=True, return_inverse=True)

@@ -25,6 +25,7 @@ from pm3dof_pin.typing import Array
 
 _ROUNDS = 12
 _STEP = 1e-6  # of commands [m, rad]
+_UNDRIVEN = 1e-6  # of the greatest motion by the drives: no motion
 
 
 def planned_measurements(poses: Poses, instrument: Instrument) -> Measurements:
@@ -101,7 +102,7 @@ def touching_poses(poses: Poses, instrument: Instrument) -> Poses:
     """Move poses until the instrument touches, by Newton's method on the commands, and return those that do.
 
     Raises:
-        UnreachablePoseError: none can.
+        UnreachablePoseError: none can, or only the machine as described: the drives do not move the point across.
     """
     target = _target(instrument)
     if target is None:
@@ -120,7 +121,14 @@ def touching_poses(poses: Poses, instrument: Instrument) -> Poses:
         at = at[(np.abs(gaps).max(axis=1) < TOUCHING) & at.within_limits]
     if not len(at):
         raise UnreachablePoseError(f"{poses.robot.name}: {target.name} is out of reach of the point that touches")
-    return at
+    rates = np.linalg.svd(target.rates(at, at.transforms), compute_uv=False)
+    driven = rates[:, -1] > _UNDRIVEN * rates[:, 0]
+    if not driven.any() or rates.shape[1] < target.dimension:
+        raise UnreachablePoseError(
+            f"{poses.robot.name}: a machine with errors misses {target.name}, and no drive moves the point that "
+            "touches across it; touch with another point of the tool, or elsewhere"
+        )
+    return at[driven]
 
 
 def touching_commands(
@@ -163,6 +171,7 @@ class _Target(ABC):
     """What a machine is moved to before it is measured."""
 
     name: str  #: in words
+    dimension: int  #: d, in how many directions it can be missed
 
     @abstractmethod
     def gaps(self, robot: Robot, transforms: Array, q: Array) -> Array:
@@ -174,7 +183,7 @@ class _Target(ABC):
 
     def steps(self, poses: Poses, transforms: Array, gaps: Array) -> Array:
         """Return the least steps of the commands towards it, shape=(n, commands) [m, rad]."""
-        return np.asarray(np.einsum("nij,nj->ni", np.linalg.pinv(self.rates(poses, transforms), rcond=1e-6), gaps))
+        return np.asarray(np.einsum("nij,nj->ni", np.linalg.pinv(self.rates(poses, transforms), rcond=_UNDRIVEN), gaps))
 
 
 class _Touch(_Target):
@@ -182,7 +191,8 @@ class _Touch(_Target):
 
     def __init__(self, touched: PlacedDatum, offset: Array) -> None:
         place = " ".join(f"{value:.4g}" for value in touched.origin)
-        self.name, self._touched, self._offset = f"the {touched.kind.name} at {place}", touched, offset
+        self.name, self.dimension = f"the {touched.kind.name} at {place}", touched.kind.dimension
+        self._touched, self._offset = touched, offset
 
     def gaps(self, robot: Robot, transforms: Array, q: Array) -> Array:
         points = self._points(transforms)
@@ -205,7 +215,8 @@ class _Lock(_Target):
     """Passive joints are where they are locked."""
 
     def __init__(self, joints: tuple[str, ...], held: Array) -> None:
-        self.name, self._joints, self._held = f"the lock of {', '.join(joints)}", joints, held
+        self.name, self.dimension = f"the lock of {', '.join(joints)}", len(joints)
+        self._joints, self._held = joints, held
 
     def gaps(self, robot: Robot, transforms: Array, q: Array) -> Array:
         return np.asarray(self._held - joint_coordinates(robot, q, self._joints))

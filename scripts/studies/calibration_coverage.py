@@ -1,9 +1,11 @@
 """Coverage of a calibration's stated uncertainty, on machines written without the package.
 
 The machines are those of machines_apart.py. They are measured in the base's frame, from a tracker metres away, by
-targets of unknown position, by positions of the tool point and by heights alone, by a gauge beside the tool point, by
-draw wires and by a camera; errors are from half to twice the tolerances of the error files. "Richness" is the size of
-the effects that no parameter describes: 0 for none.
+targets of unknown position, by positions of the tool point and by heights alone, and by every other instrument, beside
+the tool point; errors are from half to twice the tolerances of the error files. "encoders" reads the tilts of the
+tripod's passive joints beside positions, "level" the tool's. With "heat" the screws are up to 8 K warmer from pose to
+pose, known from sensors, for methods that learn. "Richness" is the size of the effects that no parameter describes: 0
+for none.
 
     python scripts/studies/calibration_coverage.py [--machines 40] [--first 0] [--robots tripod] [--linear] [--table]
 
@@ -17,35 +19,58 @@ import argparse
 import csv
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from linear_calibration import Correction, Station, cross_validated, identified
-from machines_apart import Arm, Machine, Rods, Tripod
+from machines_apart import Arm, FiveBar, Hinged, Machine, Rods, Tripod
 from scipy.spatial.transform import Rotation
+from small_robots import hexapods
 
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.fit import SMOOTH, Options, fit
 from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import Identification, identify
+from pm3dof_pin.calibration.measurement_plan import SINGULAR
 from pm3dof_pin.calibration.refusals import refusals
 from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
+from pm3dof_pin.errors.error_map import error_map
+from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.measuring.datum import Datum
+from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.instruments.table import placed_instrument
 from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.measuring.observation import observed
+from pm3dof_pin.measuring.observation import observed, touching_commands, touching_poses
 from pm3dof_pin.measuring.registration import register
+from pm3dof_pin.simulation.worlds import TEMPERATURE
 
 ETA = 0.1
 TARGETS = np.array([[0.12, 0.0, 0.01], [-0.06, 0.1, 0.0], [-0.06, -0.1, -0.02]])
 TRACKER = (Rotation.from_rotvec([0.4, -0.7, 1.9]).as_matrix(), np.array([3.0, -1.5, 0.8]))
-OTHERS = ("gauge", "wires", "camera")
-SETUPS = ("base", "tracker", "targets", "positions", "heights", *OTHERS)
+OTHERS = ("gauge", "wires", "camera", "ballbar", "probe", "line", "socket")
+SETUPS = ("base", "tracker", "targets", "positions", "heights", *OTHERS, "level", "encoders", "heat")
+TILTS = ("platform_x_joint", "platform_y_joint")
+ZEROS = (0.01, -0.02)
+"""Errors of the zeros of encoders [rad]."""
+WARMEST, EXPANSION = 8.0, 11.5e-6
+"""Greatest rise of the screws' temperature [K], and their expansion [1/K]."""
 POINT = (0.12, 0.0, 0.01)
-ROBOTS = {"tripod": "pm3dof", "delta": "linear_delta", "hexapod": "hexapod", "arm": "ur5"}
+ROBOTS = {
+    "tripod": "pm3dof",
+    "delta": "linear_delta",
+    "hexapod": "hexapod",
+    "3-RPS": "three_rps",
+    "arm": "ur5",
+    "6-RUS": None,
+    "five-bar": Path(__file__).resolve().parents[2] / "tests" / "machines" / "five_bar" / "five_bar.urdf",
+}
+"""The robots."""
+UNKNOWN = ("arm", "6-RUS", "five-bar")
+"""Those without an error file, whose parameters are not compared with the truth."""
 TESTS = 60
 _DENSE = 80  # noise-free poses from which a machine's parameters are found
 _NO_PRIOR = 1e3  # tolerances
@@ -56,8 +81,11 @@ _STATIONS = 8  # sets of poses for calibrations to first order
 
 @cache
 def described(robot: str) -> pm.GeometricErrors:
-    """Return the errors of a robot as described."""
-    return pm.GeometricErrors.load(ROBOTS[robot], tool_frame="tool0" if robot == "arm" else None)
+    """Return the errors of a robot as described, as far as loops can close with them."""
+    if robot == "6-RUS":
+        with TemporaryDirectory() as folder:
+            return closable(pm.GeometricErrors.load(hexapods(Path(folder))[robot]))
+    return closable(pm.GeometricErrors.load(ROBOTS[robot], tool_frame="tool0" if robot == "arm" else None))
 
 
 def drawn(robot: str, generator: np.random.Generator, size: float, richness: float) -> Machine:
@@ -68,6 +96,12 @@ def drawn(robot: str, generator: np.random.Generator, size: float, richness: flo
         return Rods.delta(generator, size, richness)
     if robot == "hexapod":
         return Rods.hexapod(generator, size, richness)
+    if robot == "3-RPS":
+        return Hinged.random(generator, size, richness)
+    if robot == "6-RUS":
+        return Rods.cranks(generator, size, richness)
+    if robot == "five-bar":
+        return FiveBar.random(generator, size, richness)
     mechanism = described(robot).robot
     joints = range(1, mechanism.model.njoints)
     placements = [mechanism.model.jointPlacements[j].homogeneous for j in joints]
@@ -88,25 +122,36 @@ def measured(
     machine: Machine, commands: np.ndarray, setup: str, generator: np.random.Generator, nominal: pm.Poses
 ) -> tuple[Measurements, np.ndarray]:
     """Measure a machine as a user would; also return the true positions of the targets."""
+    instrument = None
+    if setup in OTHERS:
+        instrument = placed_instrument(setup, nominal, point=None if setup == "camera" else POINT)
+        nominal = touching_poses(nominal, instrument)
+        commands = nominal.commands
     count, normal = len(commands), generator.standard_normal
-    reached = machine.poses(commands, generator.choice([-1.0, 1.0], commands.shape), np.linspace(-0.5, 0.5, count))
+    sides, times = generator.choice([-1.0, 1.0], commands.shape), np.linspace(-0.5, 0.5, count)
+    if instrument is not None:
+        return _by(instrument, machine, nominal, sides, times, generator), TARGETS
+    rises = generator.uniform(0.0, WARMEST, count) if setup == "heat" else np.zeros(count)
+    reached = machine.poses(commands, sides, times, rises)
     positions = reached[:, :3, 3] + 7.5e-6 * normal((count, 3))
     rotations = Rotation.from_rotvec(7.07e-5 * normal((count, 3))).as_matrix() @ reached[:, :3, :3]
     sigmas = np.tile(np.repeat([7.5e-6, 7.07e-5], 3), (count, 1))
     points = np.zeros((count, 3))
-    if setup == "base":
-        return Measurements(commands, positions, rotations, sigmas, points), TARGETS
-    if setup == "positions":
-        return Measurements(commands, positions, None, sigmas[:, :3], points), TARGETS
+    if setup in ("base", "heat"):
+        conditions = {TEMPERATURE: rises} if setup == "heat" else {}
+        return Measurements(commands, positions, rotations, sigmas, points, conditions=conditions), TARGETS
+    if setup == "level":
+        return Measurements(commands, positions, rotations, np.where(np.arange(6) < 5, sigmas, np.inf), points), TARGETS
+    if setup in ("positions", "encoders"):
+        rows = Measurements(commands, positions, None, sigmas[:, :3], points)
+        if setup == "encoders":
+            assert isinstance(machine, Tripod)
+            readings = machine.tilts[:, :2] + ZEROS + 7.07e-5 * normal((count, 2))
+            rows = rows.with_encoders(dict.fromkeys(TILTS, "rad"), readings, np.full((count, 2), 7.07e-5))
+        return rows, TARGETS
     if setup == "heights":
         only = np.tile([np.inf, np.inf, 7.5e-6], (count, 1))
         return Measurements(commands, positions * [0.0, 0.0, 1.0], None, only, points), TARGETS
-    if setup in OTHERS:
-        seen_by = placed_instrument(setup, nominal, point=None if setup == "camera" else POINT)
-        given = observed(commands, reached, seen_by).with_noise(generator)
-        at = given.points_on(nominal[np.repeat(np.arange(count), len(given) // count)])
-        fitted = (Datum.fitted(each.kind, each.number, at, each.numbers) for each in given.datums)
-        return replace(given, datums=tuple(fitted)), TARGETS
     turn, shift = TRACKER
     if setup == "tracker":
         found = register(positions @ turn.T + shift, nominal.positions, turn @ rotations, nominal.rotations)
@@ -127,6 +172,35 @@ def measured(
         target_sigma=1e-3,
     )
     return rows, truly
+
+
+def _by(
+    instrument: Instrument,
+    machine: Machine,
+    nominal: pm.Poses,
+    sides: np.ndarray,
+    times: np.ndarray,
+    generator: np.random.Generator,
+) -> Measurements:
+    """Measure by an instrument beside the tool; a machine goes on until a probe, line or seat is touched."""
+
+    def reached(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return machine.poses(u, sides, times), nominal.q
+
+    commands = nominal.commands
+    if instrument.stops:
+        size = (len(commands), instrument.placed[0].kind.dimension)
+        early = generator.normal(scale=instrument.position_sigma, size=size)
+        commands = touching_commands(nominal.robot, commands, reached, instrument, early)
+    given = observed(commands, reached(commands)[0], instrument)
+    if instrument.stops:
+        given = replace(given, datums=tuple(replace(each, values=0.0 * each.values) for each in given.datums))
+    else:
+        given = given.with_noise(generator)
+    described = nominal.robot.forward(commands, guess=nominal.q)
+    at = given.points_on(described[np.repeat(np.arange(len(commands)), len(given) // len(commands))])
+    fitted = (Datum.fitted(each.kind, each.number, at, each.numbers) for each in given.datums)
+    return replace(given, datums=tuple(fitted))
 
 
 def tip(wanted: np.ndarray, reached: np.ndarray) -> np.ndarray:
@@ -179,7 +253,9 @@ def one(case: Case, count: int) -> dict[str, object]:
     errors = described(robot)
     machine = machine_of(robot, seed, richness)[0]
     generator = np.random.default_rng([seed, SETUPS.index(setup), int(10 * richness)])
-    poses = pm.reachable_poses(errors.robot, count, generator)
+    if setup == "heat":
+        machine = replace(machine, effects=replace(machine.effects, expansion=EXPANSION))
+    poses = drivable(robot, count, generator)
     rows, truly = measured(machine, poses.commands, setup, generator, poses)
     calibration = fit(rows, errors, Options(method))  # type: ignore[arg-type]
     judged = HeldOut.from_cross_validation(calibration)
@@ -187,11 +263,17 @@ def one(case: Case, count: int) -> dict[str, object]:
     base, tool = placed(calibration.identification, setup, truly)
     sides = generator.choice([-1.0, 1.0], (TESTS, poses.commands.shape[1]))
 
-    def reached(u: np.ndarray) -> np.ndarray:
-        return np.asarray(base @ machine.poses(u, sides) @ tool)
+    conditions = {TEMPERATURE: generator.uniform(0.0, WARMEST, TESTS)} if setup == "heat" else {}
 
-    tests = pm.reachable_poses(errors.robot, TESTS, generator)
-    answer = calibration.compensation.compensate(tests)
+    def reached(u: np.ndarray) -> np.ndarray:
+        return np.asarray(base @ machine.poses(u, sides, 0.0, conditions.get(TEMPERATURE, 0.0)) @ tool)
+
+    tests = drivable(robot, TESTS, generator)
+    answer = calibration.compensation.compensate(tests, conditions, on_failure="nan")
+    told = np.isfinite(answer.commands).all(axis=1)
+    tests, sides = tests[told], sides[told]
+    answer = replace(answer, **{field.name: getattr(answer, field.name)[told] for field in fields(answer)})
+    conditions = {name: values[told] for name, values in conditions.items()}
     before, after = (tip(tests.transforms, reached(u)) for u in (tests.commands, answer.commands))
     best = best_commands(reached, tests.transforms, answer.commands)
     floor = tip(tests.transforms, reached(best))
@@ -206,6 +288,16 @@ def one(case: Case, count: int) -> dict[str, object]:
     return row(case, calibration.identification, compared, judged.scatter) | {
         "refused": int(bool(refusals(calibration, judged)))
     }
+
+
+def drivable(robot: str, count: int, generator: np.random.Generator) -> pm.Poses:
+    """Draw poses; of the 6-RUS, which has no declared ranges, without those that a plan leaves out as near-singular."""
+    errors = described(robot)
+    if robot != "6-RUS":
+        return pm.reachable_poses(errors.robot, count, generator)
+    poses = pm.reachable_poses(errors.robot, 2 * count, generator)
+    sizes = np.linalg.norm(error_map(errors, poses).weighted * errors.tolerances, axis=(1, 2))
+    return poses[np.flatnonzero(sizes <= SINGULAR * np.median(sizes))[:count]]
 
 
 @cache
@@ -256,7 +348,9 @@ def row(case: Case, found: Identification, compared: Compared, scatter: Scatter)
     """Collect the numbers of one calibration."""
     robot, seed, richness, setup, method = case
     sizes = dict(zip(("before", "after", "floor"), (np.linalg.norm(e, axis=1) for e in compared.errors), strict=True))
-    off = (found.values - true_parameters(robot, seed)) / found.sigmas if robot != "arm" else np.zeros(0)
+    off = np.zeros(0)
+    if robot not in UNKNOWN:
+        off = (found.values - true_parameters(robot, seed)) / found.sigmas
 
     def micrometres(values: np.ndarray) -> float:
         return round(1e6 * float(np.sqrt(np.mean(values**2))), 3)
@@ -324,7 +418,7 @@ def table(path: Path) -> str:
                 f"{100 * within.mean():.1f} ± {100 * within.std(ddof=1) / np.sqrt(len(group)):.1f} %",
                 *(str(int(np.sum(flags))) for flags in (refused, worse, worse & ~refused)),
                 f"{beyond} of {parameters}" if parameters else "",
-                *(f"{rms(f'excess_{name}_um'):.1f}" if key[0] != "arm" else "" for name in ("true", "said")),
+                *(f"{rms(f'excess_{name}_um'):.1f}" if key[0] not in UNKNOWN else "" for name in ("true", "said")),
                 *held,
             )
         )

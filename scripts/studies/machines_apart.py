@@ -1,14 +1,15 @@
 """Machines with errors, written without the package: plain NumPy; nothing of :mod:`pm3dof_pin` moves them.
 
-A tripod (sliders, links, a passive leg), six rods between a base and a platform (a linear delta, a hexapod) and a
-serial arm. Each has errors of its geometry and, optionally, effects that no parameter describes: lead errors, waves of
-drives and guideways, sag, backlash, and drift during the measurement.
+A tripod (sliders, links, a passive leg), six rods between a base and a platform (a linear delta, a hexapod, a 6-RUS
+with cranks), a 3-RPS, a five-bar and a serial arm. Each has errors of its geometry and, optionally, effects that no
+parameter describes: lead errors, waves of drives and guideways, sag, backlash, and drift during the measurement. Screws
+may also grow with the temperature.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,6 +34,7 @@ class Effects:
         backlash: change of a drive's position when it comes from the other side.
         drift: of each drive's zero over the session.
         sag: of the tool.
+        expansion: of each drive's screw [1/K].
     """
 
     lead: np.ndarray
@@ -42,6 +44,7 @@ class Effects:
     backlash: np.ndarray
     drift: np.ndarray
     sag: float
+    expansion: float = 0.0
 
     @classmethod
     def random(cls, generator: np.random.Generator, drives: int, unit: float, size: float) -> Effects:
@@ -64,9 +67,12 @@ class Effects:
             sag=size * 3e-5 * abs(float(normal())),
         )
 
-    def drives(self, commands: np.ndarray, sides: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def drives(
+        self, commands: np.ndarray, sides: np.ndarray, times: np.ndarray, rises: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return positions of the drives, shape=(n, drives), and offsets across their lines, shape=(n, drives, 2)."""
-        u = commands * (1.0 + self.lead) + 0.5 * sides * self.backlash + times[:, None] * self.drift
+        scale = 1.0 + self.lead + self.expansion * rises[:, None]
+        u = commands * scale + 0.5 * sides * self.backlash + times[:, None] * self.drift
         waves = np.sum(self.amplitudes * np.sin(2 * np.pi * u[:, :, None, None] / self.periods + self.phases), axis=3)
         return u + waves[:, :, 0], waves[:, :, 1:]
 
@@ -77,7 +83,11 @@ class Machine(ABC):
     effects: Effects
 
     def poses(
-        self, commands: np.ndarray, sides: np.ndarray | float = 0.0, times: np.ndarray | float = 0.0
+        self,
+        commands: np.ndarray,
+        sides: np.ndarray | float = 0.0,
+        times: np.ndarray | float = 0.0,
+        rises: np.ndarray | float = 0.0,
     ) -> np.ndarray:
         """Return the tool's placements, shape=(n, 4, 4).
 
@@ -85,9 +95,14 @@ class Machine(ABC):
             commands: shape=(n, drives).
             sides: from which each drive comes, -1 or 1, shape=(n, drives).
             times: from -1/2 to 1/2 over the session, shape=(n,).
+            rises: of the screws' temperature [K], shape=(n,).
         """
+        count = len(commands)
         u, beside = self.effects.drives(
-            commands, np.broadcast_to(sides, commands.shape), np.broadcast_to(times, len(commands))
+            commands,
+            np.broadcast_to(sides, commands.shape),
+            np.broadcast_to(times, count),
+            np.broadcast_to(rises, count),
         )
         return self._placed(u, beside)
 
@@ -167,7 +182,8 @@ class Tripod(Machine):
             ends = place[:, None, :] + np.einsum("nij,kj->nki", turn, self.joints)
             return np.asarray(np.linalg.norm(ends - sliders, axis=2) - self.lengths)
 
-        place, turn = self._platform(_solved(missed, np.tile([0.0, 0.0, 0.49], (len(u), 1))))
+        self.tilts = _solved(missed, np.tile([0.0, 0.0, 0.49], (len(u), 1)))
+        place, turn = self._platform(self.tilts)
         return _placement(
             turn @ Rotation.from_rotvec(self.tool_turn).as_matrix(),
             place + np.einsum("nij,j->ni", turn, self.tool_shift),
@@ -198,6 +214,8 @@ class Rods(Machine):
     stretch: float
     joints: np.ndarray
     start: np.ndarray
+    arms: np.ndarray | None = None  #: of cranks that turn about the guides, shape=(6, 3)
+    tool: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     @classmethod
     def delta(cls, generator: np.random.Generator, size: float, richness: float) -> Rods:
@@ -240,9 +258,42 @@ class Rods(Machine):
             np.array([0.0, 0.0, 0.135]),
         )
 
+    @classmethod
+    def cranks(cls, generator: np.random.Generator, size: float, richness: float) -> Rods:
+        """Draw a 6-RUS: the machine of small_robots.py, whose bolts and bearings each have errors of their own."""
+        d, a, normal = size * LENGTH, size * ANGLE, generator.standard_normal
+        anchors = _around(0.35, [-15.0, 15.0, 105.0, 135.0, 225.0, 255.0], 0.0)
+        points = _around(0.15, [-45.0, 45.0, 75.0, 165.0, 195.0, 285.0], -0.45)
+        outward = anchors / np.linalg.norm(anchors, axis=1, keepdims=True)
+        arms = 0.15 * (outward - [0.0, 0.0, 0.5]) / np.linalg.norm([1.0, 0.5])
+        axes = np.cross([0.0, 0.0, 1.0], outward)
+        lengths = np.linalg.norm(points - anchors - arms, axis=1)
+        turns = [Rotation.from_rotvec(a * normal(3)) for _ in range(6)]
+        tool = np.eye(4)
+        tool[:3, :3], tool[:3, 3] = Rotation.from_rotvec(a * normal(3)).as_matrix(), d * normal(3)
+        return cls(
+            Effects.random(generator, 6, 1.0 / 0.15, richness),
+            anchors + d * normal((6, 3)),
+            np.array([turn.apply(axis) for turn, axis in zip(turns, axes, strict=True)]),
+            np.tile(np.eye(3)[:2], (6, 1, 1)),
+            list(range(6)),
+            lengths + d * normal(6),
+            0.0,
+            points + [0.0, 0.0, 0.5] + d * normal((6, 3)),
+            np.array([0.0, 0.0, -0.5]),
+            np.array([turn.apply(arm) for turn, arm in zip(turns, arms, strict=True)]) + d * normal((6, 3)),
+            tool,
+        )
+
     def _placed(self, u: np.ndarray, beside: np.ndarray) -> np.ndarray:
         own, off = u[:, self.drives], beside[:, self.drives]
-        ends = self.anchors + own[..., None] * self.guides + np.einsum("nks,ksj->nkj", off, self.sides)
+        ends = self.anchors + own[..., None] * self.guides
+        if self.arms is None:
+            ends = ends + np.einsum("nks,ksj->nkj", off, self.sides)
+        else:
+            turns = [Rotation.from_rotvec(own[:, k, None] * axis) for k, axis in enumerate(self.guides)]
+            arms = [turn.apply(arm) for turn, arm in zip(turns, self.arms, strict=True)]
+            ends = self.anchors + np.stack(arms, axis=1)
 
         def missed(x: np.ndarray) -> np.ndarray:
             turn = Rotation.from_rotvec(x[:, 3:]).as_matrix()
@@ -251,11 +302,89 @@ class Rods(Machine):
 
         height = np.mean(u, axis=1) * np.mean(self.guides[:, 2]) - np.sqrt(0.27**2 - 0.13**2) - 0.04
         start = np.tile(np.concatenate([self.start, np.zeros(3)]), (len(u), 1))
-        if not self.stretch:
+        if not self.stretch and self.arms is None:
             start[:, 2] = height
         x = _solved(missed, start)
         x[:, 2] -= self.effects.sag * (1.0 + 0.3 * np.sum(x[:, :2] ** 2, axis=1) / 0.1**2)
+        return _placement(Rotation.from_rotvec(x[:, 3:]).as_matrix(), x[:, :3]) @ self.tool
+
+
+@dataclass
+class Hinged(Machine):
+    """A 3-RPS: three legs that each turn about a hinge and change their length, balls on a platform."""
+
+    effects: Effects
+    across: np.ndarray
+    zeros: np.ndarray
+    leans: np.ndarray
+    joints: np.ndarray
+
+    @classmethod
+    def random(cls, generator: np.random.Generator, size: float, richness: float) -> Hinged:
+        """Draw the machine that comes with the package."""
+        d, a, normal = size * LENGTH, size * ANGLE, generator.standard_normal
+        return cls(
+            Effects.random(generator, 3, 1.0, richness),
+            d * normal(3),
+            d * normal(3),
+            a * normal(3),
+            _around(0.18, [0.0, 120.0, -120.0], -0.12) + d * normal((3, 3)),
+        )
+
+    def _placed(self, u: np.ndarray, beside: np.ndarray) -> np.ndarray:
+        turns = Rotation.from_euler("z", [[0.0], [120.0], [-120.0]], degrees=True).as_matrix()
+        rod = np.hypot(0.17, 0.54) - 0.25 + u
+        side = self.across - np.sin(self.leans) * rod + beside[..., 0]
+        length = np.hypot(0.25 + self.zeros + np.cos(self.leans) * rod, beside[..., 1])
+
+        def missed(x: np.ndarray) -> np.ndarray:
+            turn = Rotation.from_rotvec(x[:, 3:]).as_matrix()
+            ends = x[:, None, :3] + np.einsum("nij,kj->nki", turn, self.joints)
+            own = np.einsum("kji,nkj->nki", turns, ends) - [0.35, 0.0, 0.08]
+            return np.concatenate([own[..., 1] - side, np.hypot(own[..., 0], own[..., 2]) - length], axis=1)
+
+        x = _solved(missed, np.tile([0.0, 0.0, 0.74, 0.0, 0.0, 0.0], (len(u), 1)))
+        x[:, 2] -= self.effects.sag * (1.0 + 0.3 * np.sum(x[:, :2] ** 2, axis=1) / 0.1**2)
         return _placement(Rotation.from_rotvec(x[:, 3:]).as_matrix(), x[:, :3])
+
+
+@dataclass
+class FiveBar(Machine):
+    """A planar five-bar: two cranks, two forearms, the pen where they meet."""
+
+    effects: Effects
+    motors: np.ndarray
+    zeros: np.ndarray
+    cranks: np.ndarray
+    forearms: np.ndarray
+    tool: np.ndarray
+
+    @classmethod
+    def random(cls, generator: np.random.Generator, size: float, richness: float) -> FiveBar:
+        """Draw the machine of the tests."""
+        d, a, normal = size * LENGTH, size * ANGLE, generator.standard_normal
+        tool = np.eye(4)
+        tool[:3, :3], tool[:3, 3] = Rotation.from_rotvec(a * normal(3)).as_matrix(), d * normal(3)
+        return cls(
+            Effects.random(generator, 2, 4.0, richness),
+            np.array([[-0.1, 0.0], [0.1, 0.0]]) + d * normal((2, 2)),
+            np.array([2.2823075170803215, 0.8592851365094715]) + a * normal(2),
+            0.25 + d * normal(2),
+            0.35 + d * normal(2),
+            tool,
+        )
+
+    def _placed(self, u: np.ndarray, beside: np.ndarray) -> np.ndarray:
+        angles = self.zeros + u
+        elbows = self.motors + self.cranks[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=2)
+        apart = elbows[:, 1] - elbows[:, 0]
+        square = np.sum(apart**2, axis=1)
+        along = 0.5 + (self.forearms[0] ** 2 - self.forearms[1] ** 2) / (2.0 * square)
+        up = np.sqrt(self.forearms[0] ** 2 / square - along**2)
+        fore = along[:, None] * apart + up[:, None] * np.stack([-apart[:, 1], apart[:, 0]], axis=1)
+        turn = Rotation.from_euler("z", np.arctan2(fore[:, 1], fore[:, 0])[:, None]).as_matrix()
+        sag = -self.effects.sag * np.ones(len(u))
+        return _placement(turn, np.column_stack([elbows[:, 0] + fore, sag])) @ self.tool
 
 
 @dataclass

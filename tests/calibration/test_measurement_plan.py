@@ -106,3 +106,28 @@ def test_what_cannot_be_is_refused(errors: GeometricErrors) -> None:
         plan_measurements(errors, 9, instrument="ballbar", centres=((0.0, 0.0, 0.1),) * 2, candidates=50)
     with pytest.raises(InvalidValueError, match="lm, without an accuracy"):
         plan_measurements(errors, 9, instrument="camera", method="gp", candidates=50)
+
+
+@pytest.mark.parametrize("instrument", ["gauge", "ballbar", "wires"])
+def test_a_point_that_never_leaves_a_line_locates_nothing(instrument: str) -> None:
+    """The tripod's tool point moves along z only: a plane may be tilted, a centre turned about z, unseen."""
+    errors = GeometricErrors.load("pm3dof")
+    with pytest.raises(InvalidValueError, match="stays on a line or at one place"):
+        plan_measurements(errors, 15, instrument=instrument, candidates=60, machines=0)
+    assert plan_measurements(errors, 15, instrument="gauge", point=(0.1, 0.0, 0.0), candidates=60, machines=0).poses
+
+
+def test_poses_too_few_to_locate_a_plane_are_refused_for_that() -> None:
+    with pytest.raises(InvalidValueError, match="poses are too few to tell plane1"):
+        plan_measurements(GeometricErrors.load("hexapod"), 2, instrument="gauge", candidates=60, machines=0)
+
+
+def test_a_level_tells_nothing_of_a_tool_that_only_translates() -> None:
+    with pytest.raises(InvalidValueError, match="sees nothing of what the drives of linear_delta move"):
+        plan_measurements(GeometricErrors.load("linear_delta"), 9, instrument="level", candidates=60, machines=0)
+
+
+def test_a_point_that_drives_do_not_move_sideways_touches_no_line() -> None:
+    """The tripod as described is always on the z axis, and no other machine is: its drives cannot bring it there."""
+    with pytest.raises(UnreachablePoseError, match="a machine with errors misses the line"):
+        plan_measurements(GeometricErrors.load("pm3dof"), 9, instrument="line", candidates=60, machines=0)

@@ -142,16 +142,17 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     heights = replace(measured, rotations=None, sigmas=np.tile([np.inf, np.inf, 7.5e-6], (12, 1)))
     found = fit(heights, tripod_errors, Options("lm", prior=1.0))
     whole = Compensation.from_identification(found.identification, found.options.eta)
-    corrections = [compensation.corrected(poses) for compensation in (whole, found.compensation)]
-    commands, starts = np.concatenate([poses.commands, *corrections]), np.tile(poses.q, (3, 1))
-    wanted = np.tile(poses.transforms, (3, 1, 1))
+    where = reachable_poses(tripod_errors.robot, 60, generator)
+    corrections = [compensation.corrected(where) for compensation in (whole, found.compensation)]
+    commands, starts = np.concatenate([where.commands, *corrections]), np.tile(where.q, (3, 1))
+    wanted = np.tile(where.transforms, (3, 1, 1))
     gains = []
     for values in generator.multivariate_normal(found.identification.values, found.identification.covariance, 150):
         reached = tripod_errors.apply(values).forward(commands, guess=starts).transforms
         sums = np.sum(tip_error(pose_difference(wanted, reached)).reshape(3, -1) ** 2, axis=1)
         gains.append(sums[0] - sums[1:])
     harmed, gained = np.mean(np.array(gains) < 0.0, axis=0), np.mean(gains, axis=0)
-    gain = Gain.from_compensation(whole, poses.commands)
+    gain = Gain.from_compensation(whole)
     assert gain is not None
     chance = gain.chance_of_harm(found.identification.values)
     assert 0.05 < chance < 0.5
