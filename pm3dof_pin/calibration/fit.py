@@ -24,7 +24,7 @@ from pm3dof_pin.calibration.session_effects import SessionEffects
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 
@@ -216,11 +216,7 @@ def compensation_from(
 
 def _unseen_motions(measurements: Measurements, nominal: Poses, options: Options) -> Iterator[str]:
     """Say which motions of the drives the measurements do not show."""
-    try:
-        found = pseudo_errors(measurements, nominal, options.eta)
-    except UnreachablePoseError as error:
-        problem = "not reachable by any commands"
-        raise InvalidValueError("poses measured", problem, "poses near the commanded ones") from error
+    found = pseudo_errors(measurements, nominal, options.eta)
     seen, drives = int(np.linalg.matrix_rank(control_inverse(found.control)).max()), found.control.shape[2]
     if seen < drives and not measurements.joints:  # encoders show more, but of the tool only by the model
         advice = "" if measurements.measured == "pose" else ": measure poses, or targets away from the tool point"

@@ -98,8 +98,9 @@ def pseudo_errors(
 ) -> PseudoErrors:
     """Find the deviations of the commands that explain measurements, by inverting a model's kinematics at the visits.
 
+    Where the model cannot go all the way, as at the end of its reach, the rest is left over.
+
     Raises:
-        UnreachablePoseError: no commands take the model there.
         SingularConfigurationError: at some command the tool can move with all drives locked.
     """
     scales = command_scales(model)
@@ -122,7 +123,7 @@ def pseudo_errors(
         found = errors_at(poses)
         return np.asarray(scales * np.einsum("nij,nj->ni", control_inverse(control(poses, found), seen), found.errors))
 
-    deviations, poses = descend(model, measurements.visits.commands, step, residuals)
+    deviations, poses = descend(model, measurements.visits.commands, step, residuals, on_failure="nan")
     found = errors_at(poses)
     reached = control(poses, found)
     gain = scales[:, None] * control_inverse(reached, seen)

@@ -18,6 +18,7 @@ from pm3dof_pin.typing import Array, Matrix, Vector
 _ROUNDING = 1e-9
 _FURTHER_STARTS = 16  # for the inverse kinematics of a serial arm
 _WAYPOINTS = 1000
+_FEWEST_ALONG, _MAX_WAYPOINTS = 3, 10_000  # along each coordinate; in all, or there are none
 _WIDTH = 3.0  # of the waypoint lattice on both sides of home, unless joints end earlier [characteristic lengths]
 
 
@@ -99,6 +100,8 @@ def waypoints(
         home: the configuration from which poses are reached.
         walk: returns the poses at targets by walks from starts, shape=(n, nq), NaN where there is none.
     """
+    if _FEWEST_ALONG ** len(coordinates) > _MAX_WAYPOINTS:  # poses between home and a target are tried anyway
+        return np.empty((0, len(coordinates))), np.empty((0, len(home)))
     transform = robot.configuration(home).tool_placement.homogeneous if any(c.tool for c in coordinates) else None
     origin = robot.read(coordinates, home, transform)
     grid = _waypoint_lattice(robot, coordinates, origin)
@@ -129,7 +132,7 @@ def waypoints(
 
 def _waypoint_lattice(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], home: Vector) -> Grid:
     """Return a lattice of about a thousand values around home, along each coordinate as far as its joint goes."""
-    size, axes = max(round(_WAYPOINTS ** (1.0 / len(coordinates))), 3), {}
+    size, axes = max(round(_WAYPOINTS ** (1.0 / len(coordinates))), _FEWEST_ALONG), {}
     for coordinate, middle, unit in zip(coordinates, home, coordinate_scales(robot, coordinates), strict=True):
         width = unit * (_WIDTH if coordinate.unit == "m" else np.pi)
         # declared ranges of the tool are for maps, and do not bound the reachable set

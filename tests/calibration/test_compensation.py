@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.fit import Fit, Options, fit
 from pm3dof_pin.calibration.held_out import HeldOut
@@ -17,7 +18,7 @@ from pm3dof_pin.chapter.kinematics import inverse_kinematics, placement
 from pm3dof_pin.errors.command_correction import nearest_poses
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import CalibrationRefusedError, InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
@@ -220,8 +221,8 @@ def test_a_row_half_a_metre_off_is_no_more_than_an_outlier(
 
 
 def test_measurements_in_another_frame_are_refused(measured: Measurements, tripod_errors: GeometricErrors) -> None:
-    with pytest.raises(InvalidValueError, match="not reachable by any commands"):
-        fit(replace(measured, positions=measured.positions - 0.3), tripod_errors)
+    with pytest.raises(CalibrationRefusedError, match="larger than the machine could be off"):
+        calibrate(replace(measured, positions=measured.positions - 0.3), tripod_errors, "lm")
 
 
 def test_cross_validation_tells_before_after_and_floor(measured: Measurements, tripod_errors: GeometricErrors) -> None:

@@ -357,7 +357,7 @@ WRONG: dict[str, Wrong] = {
     "tool point, a little": Wrong(_shifted_tool(0.003, -0.002, 0.0), "point seen"),
     "pose of the base in the tool": Wrong(
         lambda g: _seen(g.table, -_turns(g.table).inv().apply(_xyz(g.table)), _turns(g.table).inv()),
-        "poses measured|axes of the base",
+        "other axes",
     ),
     "x constant": Wrong(lambda g: {**g.table, "x_m": np.full(len(g.table["x_m"]), g.table["x_m"][0])}, "."),
     "z constant": Wrong(lambda g: {**g.table, "z_m": np.full(len(g.table["z_m"]), g.table["z_m"][0])}, "."),

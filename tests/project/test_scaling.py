@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import pm3dof_pin as pm
+from pm3dof_pin.exceptions import UnreachablePoseError
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
 from families import FAMILIES
@@ -49,3 +50,10 @@ def test_table_and_exponents() -> None:
     cells = {line.split(" | ")[0]: line for line in lines}
     assert "slow from 24" in cells["| modes"]
     assert "refused" in cells["| workspace"]
+
+
+def test_commands_of_many_drives_out_of_reach_are_told(tmp_path: Path) -> None:
+    """No lattice is laid over twelve drives, whose points would not fit into memory."""
+    robot = pm.load(FAMILIES["four_bars"][0](12).write(tmp_path / "robot"))
+    with pytest.raises(UnreachablePoseError, match="four_bars12"):
+        robot.forward([[2.5] * 12])
