@@ -209,10 +209,10 @@ def calibrate(
         if on_refusal == "raise":
             raise CalibrationRefusedError(against)
     further = [] if against else list(doubts(fitted, seen))
-    if (tails := fitted.compensation.scatter.tails) > 1.0:
+    if (scatter := fitted.compensation.scatter).long_tailed:
         further.append(
             "more poses than chance explains are far from where they should be: what is not explained counts "
-            f"{tails:.1f} times in the 95 % bounds"
+            f"{scatter.tails:.1f} times in the 95 % bounds"
         )
     judged = None
     if others is not None:

@@ -308,14 +308,15 @@ def _verify(directory: Path, *, everything: bool = False) -> None:
     lines = read_text(directory / _SUMS).splitlines()
     sums = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
     found = {file.relative_to(directory).as_posix() for file in _files(directory)}
+    again = f"put it back, or calibrate again from {MEASUREMENTS} as it was measured"
     for name in sorted(found | set(sums)):
         if name not in (_SUMS, HISTORY) and (everything or name == _COMPENSATION or name.startswith("nominal/")):
             if name not in found or name not in sums:
                 problem = "is missing" if name in sums else "was added since the calibration was written"
-                raise DescriptionError(directory / name, "file", f"{problem}: calibrate again from {MEASUREMENTS}")
+                raise DescriptionError(directory / name, "file", f"{problem}: {again}")
             if _sum(directory / name) != sums[name]:
                 problem = "was changed since the calibration was written"
-                raise DescriptionError(directory / name, "SHA-256", f"{problem}: calibrate again from {MEASUREMENTS}")
+                raise DescriptionError(directory / name, "SHA-256", f"{problem}: {again}")
 
 
 def checksum_of(directory: Path | str) -> str:

@@ -43,7 +43,8 @@ _ROUNDS = 20
 _SETTLED = 1e-3
 _RIDGE = 1e-9
 _MISTAKE = 4.0  # times its bound: an error of eight or more standard deviations
-_CHANCE = 0.01  # probability of widening the bounds of a machine with normal errors
+_LIKELY = 0.2  # chance from which on bounds are kept: on real arms, rarer counts came back on other poses
+_CHANCE = 0.01  # probability of calling normal errors long-tailed
 _TAILS = 1.1 ** np.arange(1, 25)  # up to 10
 _WHOLE = 5.5  # average number of shown directions per pose needed to separate positions from orientations
 _DIRECTIONS = np.stack([np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])])
@@ -61,8 +62,9 @@ class Scatter:
     #: d is proportional to the square of these, shape=(drives,); and the covariance of a, b and that factor
     alike: Array = field(default_factory=lambda: np.zeros(0))
     uncertainty: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    #: factor on the scatter in bounds; above 1 for a machine whose errors have longer tails than normal ones
+    #: factor on the scatter in bounds; above 1 if fewer held-out poses than promised are within bounds without it
     tails: float = 1.0
+    long_tailed: bool = False  #: whether chance hardly explains that: errors have longer tails than normal ones
 
     @classmethod
     def from_errors(
@@ -116,8 +118,8 @@ class Scatter:
     def with_tails(self, errors: Array, covariances: Array, shown: Array, control: Array) -> Scatter:
         """Return the scatter with the factor in bounds that errors of held-out poses, outliers among them, ask for.
 
-        Where more of them than chance explains are beyond their bounds, the scatter is widened until as many are within
-        as bounds promise. Errors several times their bounds are taken for mistakes of measuring, not of the machine.
+        Where more of them are beyond their bounds than is likely, the scatter is widened until as many are within as
+        bounds promise. Errors several times their bounds are taken for mistakes of measuring, not of the machine.
 
         Args:
             errors: tip-weighted, shape=(n, 6) [m].
@@ -134,14 +136,15 @@ class Scatter:
         usual = bounds(1.0)
         kept = lengths <= _MISTAKE * usual
         count, beyond = int(np.count_nonzero(kept)), int(np.count_nonzero(kept & (lengths > usual)))
-        # the probability of as many or more if the bounds were right
-        if beyond == 0 or scipy.special.bdtrc(beyond - 1, count, 1.0 - COVERAGE) > _CHANCE:
-            return self
         most = int((1.0 - COVERAGE) * (count + 1))  # a new pose is as likely in any place among these
+        # the probability of as many or more if the bounds were right
+        chance = float(scipy.special.bdtrc(beyond - 1, count, 1.0 - COVERAGE)) if beyond > most else 1.0
+        if chance > _LIKELY:
+            return self
         for tails in _TAILS:
             if np.count_nonzero(kept & (lengths > bounds(tails))) <= most:
                 break
-        return replace(self, tails=float(tails))
+        return replace(self, tails=float(tails), long_tailed=chance < _CHANCE)
 
     def covariances(self, control: Array) -> Array:
         """Return the covariance of tip-weighted errors, shape=(n, 6, 6) [m^2].

@@ -85,7 +85,8 @@ def acceptance(
     errors = InstrumentErrors(noise, per_length, drift)
     given = None if columns is None else ColumnMap.load(columns)
     found = evaluate_acceptance(test, file, instrument=errors, radius=radius, columns=given)
-    result = {"robot": which.load().name} | found.as_data()
+    # readings are of a line, a circle or a sphere, of whatever robot
+    result = ({} if which.robot is None else {"robot": which.load().name}) | found.as_data()
     path = write_text_atomically(out.with_suffix(".json"), json.dumps(result, indent=2) + "\n")
     rows = [
         [name, f"{1e6 * value:z.1f}", f"{1e6 * found.uncertainties[name]:z.1f}"] for name, value in found.values.items()

@@ -425,6 +425,23 @@ def table(path: Path) -> str:
     return "".join("| " + " | ".join(line) + " |\n" for line in lines)
 
 
+def within_table(path: Path) -> str:
+    """Return the poses within their bounds [%] and the number of machines, a row for each kind of measurement."""
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    robots = [robot for robot in ROBOTS if any(row["robot"] == robot for row in rows)]
+    lines = [("measured", *robots), ("---",) * (len(robots) + 1)]
+    for setup in SETUPS:
+        cells = []
+        for robot in robots:
+            own = [float(row["within"]) for row in rows if (row["robot"], row["setup"]) == (robot, setup)]
+            spread = 100.0 * np.std(own, ddof=1) / np.sqrt(len(own)) if len(own) > 1 else np.nan
+            cells.append(f"{100.0 * np.mean(own):.0f} ± {spread:.0f} ({len(own)})" if own else "")
+        if any(cells):
+            lines.append((setup, *cells))
+    return "".join("| " + " | ".join(line) + " |\n" for line in lines)
+
+
 def main() -> None:
     """Run the study and write one row for each calibration."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -438,9 +455,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/calibration_coverage.csv"))
     parser.add_argument("--linear", action="store_true", help="calibrate to first order, thirty times faster")
     parser.add_argument("--table", action="store_true", help="print the table of the file, and compute nothing")
+    parser.add_argument("--within", action="store_true", help="the same for the poses within their bounds alone")
     given = parser.parse_args()
-    if given.table:
-        print(table(given.out), end="")
+    if given.table or given.within:
+        print((table if given.table else within_table)(given.out), end="")
         return
     logging.disable(logging.WARNING)
     run = one_linear if given.linear else one

@@ -116,6 +116,13 @@ def test_bounds_hold_for_a_machine_whose_errors_have_long_tails() -> None:
     # a mistake of measuring is none of the machine
     held_out[0][3] = 1.0
     assert usual.with_tails(*held_out).tails == pytest.approx(wide.tails, rel=0.11)
-    # nor are normal errors widened
-    ordinary = sigma * generator.standard_normal((80, 6))
-    assert usual.with_tails(ordinary, *(each[first] for each in others)).tails == 1.0
+    assert wide.long_tailed
+    # nor are normal errors called so, and 4 of 80 beyond their bounds are as many as promised
+    ordinary = np.zeros((80, 6))
+    ordinary[:, 0] = sigma * np.sqrt(scipy.stats.chi2.ppf((np.arange(80) + 0.5) / 80, 6))
+    assert usual.with_tails(ordinary, *(each[first] for each in others)) == usual
+    # with 7, a chance of 11 %, the factor is what takes three of them within, without a complaint
+    ordinary[73:76, 0] = 1.05 * sigma * np.sqrt(scipy.stats.chi2.ppf(0.95, 6))
+    widened = usual.with_tails(ordinary, *(each[first] for each in others))
+    assert widened.tails == pytest.approx(1.1)
+    assert not widened.long_tailed
