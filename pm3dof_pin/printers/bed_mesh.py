@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from pm3dof_pin.printers.touches import are_clearly_smaller
 from pm3dof_pin.typing import Array
 
 POINTS = 9
@@ -18,7 +19,6 @@ POINTS = 9
 
 _LEAST = 10  # touches
 _SMOOTHNESS = (0.01, 0.1, 1.0, 10.0)
-_CLEARLY = 2.0  # standard errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +51,7 @@ class BedMesh:
                 errors[hidden] = own[hidden] - spline(_scaled(points[hidden], points[shown]))
             trials.append(errors)
         best = min(range(len(trials)), key=lambda k: float(np.mean(trials[k] ** 2)))
-        gains = left_over[folds, np.arange(len(folds))] ** 2 - trials[best] ** 2
-        if not gains.mean() > _CLEARLY * gains.std() / np.sqrt(len(gains)):  # it only follows the noise
+        if not are_clearly_smaller(trials[best], left_over[folds, np.arange(len(folds))]):  # it only follows the noise
             return None
         return cls(points, heights, _SMOOTHNESS[best], trials[best])
 

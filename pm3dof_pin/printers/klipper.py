@@ -30,6 +30,7 @@ _SECTION, _OPTION = re.compile(r"\[([^\]]+)\]"), re.compile(r"([^:=\s][^:=]*?)\s
 _ANGLES = {"delta": (210.0, 330.0, 90.0), "rotary_delta": (30.0, 150.0, 270.0)}
 _FULL_STEPS = 200.0
 _MAX_INCLUDES = 100  # files
+_COMMENT = re.compile(r"#|(?:^|\s);")
 _MESH = "bed_mesh default"
 
 
@@ -60,7 +61,7 @@ class KlipperFile:
         lines, section, last, included, not_found = [], {True: "", False: ""}, "", {}, list[str]()
         for file, line in _expanded(path, text, not_found, [path]):
             is_saved = line.startswith(_SAVED)
-            words = line[len(_SAVED) :].strip() if is_saved else line.split("#", 1)[0].rstrip()
+            words = line[len(_SAVED) :].strip() if is_saved else _COMMENT.split(line, maxsplit=1)[0].rstrip()
             if is_saved and file != path:
                 continue  # Klipper saves into the main file only
             if is_saved and last and words and line.removeprefix(f"{_SAVED} ").startswith((" ", "\t")):

@@ -25,10 +25,11 @@ from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
 from pm3dof_pin.printers.touches import Touches
 
-_NUMBER = r"-?\d+(?:\.\d*)?|-?\.\d+"
+_NUMBER = r"[-+]?\d+(?:\.\d*)?|[-+]?\.\d+"
 _WORD = re.compile(rf"([A-Z])\s*({_NUMBER})")
 _ARMS = re.compile(rf"L\s*((?:{_NUMBER})(?:\s*:\s*(?:{_NUMBER}))*)")
-_MARLIN = re.compile(rf"Bed X:\s*({_NUMBER})\s*Y:\s*({_NUMBER})\s*Z:\s*({_NUMBER})")
+_WORDS = re.compile(rf"(?:\s*[A-DF-Z]\s*(?:{_NUMBER})(?:\s*:\s*(?:{_NUMBER}))*)+\s*(?:\*\d+)?\s*")
+_MARLIN = re.compile(rf"Bed X:\s*({_NUMBER})\s*Y:\s*({_NUMBER})\s*Z:\s*({_NUMBER})(?![\w.,])")
 _HEIGHTS = re.compile(rf"bed probe heights:\s*((?:(?:{_NUMBER})[\s,]*)+)", re.IGNORECASE)
 _POINT = re.compile(r"\bG30\b[^;]*\bP\s*\d+[^;]*")
 _TOWERS = (210.0, 330.0, 90.0)
@@ -60,8 +61,8 @@ class GCodeLog:
         """Read the last M665 and M666, and all heights after them.
 
         Raises:
-            MeasurementError: the heights and the points of RepRapFirmware are not as many, or M665 has neither one arm
-                length nor three.
+            MeasurementError: the heights and the points of RepRapFirmware are not as many, a word is no number, or M665
+                has neither one arm length nor three.
         """
         geometry: dict[str, float] = {}
         arms: tuple[float, ...] = ()
@@ -69,9 +70,14 @@ class GCodeLog:
         points: list[tuple[float, float]] = []
         probed: list[tuple[float, float, float]] = []
         firmware: Literal["RepRapFirmware", "Marlin"] = "RepRapFirmware"
-        for line in text.splitlines():
-            code = line.split(";", 1)[0]
+        for number, line in enumerate(text.splitlines(), start=1):
+            code = _code(line)
             words = {letter: float(value) for letter, value in _WORD.findall(code.upper())}
+            is_point = bool(_POINT.search(code))
+            # two words, of which one is the command: prose that mentions it has one
+            if len(words) > 1 and ("M665" in code or "M666" in code or is_point) and not _WORDS.fullmatch(code.upper()):
+                problem = f"'{code.strip()}': expected letters, each with a number such as 105.5"
+                raise MeasurementError(path, problem, [number])
             if "M665" in code:
                 geometry |= words
                 if lengths := _ARMS.search(code.upper()):
@@ -81,7 +87,10 @@ class GCodeLog:
                 probed = []
             elif "M666" in code:
                 stops |= words
-            elif found := _MARLIN.search(line):
+            elif "Bed X:" in line:
+                if not (found := _MARLIN.search(line)):
+                    problem = f"'{line.strip()}': expected numbers, as in Bed X: 10.0 Y: 20.0 Z: 0.12"
+                    raise MeasurementError(path, problem, [number])
                 firmware = "Marlin"
                 probed.append((float(found[1]), float(found[2]), float(found[3])))
             elif found := _HEIGHTS.search(line):
@@ -90,7 +99,7 @@ class GCodeLog:
                     problem = f"{len(heights)} bed probe heights for {len(points)} points (G30 P... X... Y...)"
                     raise MeasurementError(path, problem)
                 probed += [(x, y, height) for (x, y), height in zip(points, heights, strict=True)]
-            elif _POINT.search(code) and {"X", "Y"} <= set(words):
+            elif is_point and {"X", "Y"} <= set(words):
                 points.append((words["X"], words["Y"]))
         return cls(path, firmware, geometry, arms, stops, tuple(probed))
 
@@ -147,3 +156,10 @@ class GCodeLog:
     @property
     def _sign(self) -> float:
         return 1.0 if self.firmware == "RepRapFirmware" else -1.0
+
+
+def _code(line: str) -> str:
+    """Return a line from the command that is read on, without comments; else all of it."""
+    words = re.sub(r"\([^)]*\)", "", line.split(";", 1)[0])
+    found = re.search(r"M665|M666|\bG30\b", words)
+    return words[found.start() :] if found else words

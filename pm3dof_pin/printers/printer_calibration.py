@@ -34,7 +34,7 @@ from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
 from pm3dof_pin.printers.firmware import FirmwareFile, read_firmware
-from pm3dof_pin.printers.touches import Touches
+from pm3dof_pin.printers.touches import Touches, are_clearly_smaller
 from pm3dof_pin.typing import Array
 
 _FOLDS = 10
@@ -154,12 +154,12 @@ def calibrate_printer(
         path: Klipper's printer.cfg with saved touches, or a log of M665, M666 and touches of the bed of RepRapFirmware
             or Marlin.
         bed_mesh: whether what no parameter can express becomes a bed mesh; Klipper only.
-        on_refusal: "raise", or "keep" to return a calibration that does not predict touches better than the printer's
-            own numbers: these may have been fitted to the same touches.
+        on_refusal: "raise", or "keep" to return a calibration that does not predict touches clearly better than the
+            printer's own numbers: these may have been fitted to the same touches.
 
     Raises:
         MeasurementError: the file has no delta printer, or no touches, or takes no bed mesh.
-        CalibrationRefusedError: too few touches, or neither the result nor a mesh would be better.
+        CalibrationRefusedError: too few touches, or neither the result nor a mesh would be clearly better.
     """
     file = read_firmware(Path(path), read_text(Path(path)))
     if bed_mesh and not file.takes_mesh:
@@ -197,14 +197,23 @@ def calibrate_printer(
     if bed_mesh:
         places = found.errors.apply(found.values).forward(touches.travels).positions[:, :2]
         result = replace(result, mesh=BedMesh.fitted(places, -result.heights_after, -chosen.left_over, chosen.folds))
-    if not result.gain > 1.0 and on_refusal == "raise":
-        own, new = (1e6 * _rms(values) for values in (result.heights_before, result.held_out))
-        text = (
-            f"touches held out would be off by {new:.2g} µm, and with the printer's own numbers by {own:.2g} µm: it is "
-            "calibrated as well as these touches tell"
-        )
-        raise CalibrationRefusedError([text])
+    if on_refusal == "raise" and not are_clearly_smaller(result.held_out, result.heights_before):
+        raise CalibrationRefusedError([_refusal(result)])
     return result
+
+
+def _refusal(result: PrinterCalibration) -> str:
+    """Say why a calibration is not clearly better than the printer's own numbers."""
+    own, new = (1e6 * _rms(values) for values in (result.heights_before, result.held_out))
+    text = f"touches held out would be off by {new:.0f} µm, and with the printer's own numbers by {own:.0f} µm: "
+    sizes = np.abs(result.heights_before)
+    worst, usual = int(np.argmax(sizes)), float(np.median(sizes))
+    if sizes[worst] > _OUTLIER * usual:
+        return text + (
+            f"with these, touch {worst}, counted from 0, is off by {1e3 * sizes[worst]:.3g} mm, and half of the "
+            f"touches by at most {1e3 * usual:.2g} mm; it may be wrong"
+        )
+    return text + "it is calibrated as well as these touches tell"
 
 
 def _errors(printer: DeltaPrinter, count: int) -> GeometricErrors:

@@ -15,6 +15,9 @@ PROBE_SIGMA = 25e-6
 CALIPER_SIGMA = 50e-6
 """Noise of a distance measured on a print [m]."""
 
+_CLEARLY = 2.0
+"""Standard errors by which errors are smaller on the whole: one touch alone that is better makes about one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Touches:
@@ -52,3 +55,14 @@ class Touches:
         if not len(second):
             return seen
         return replace(seen, distances=far, origins=np.zeros((count, 3)), partners=partners)
+
+
+def are_clearly_smaller(errors: Array, others: Array) -> bool:
+    """Tell whether errors of the same touches are smaller in the mean square, beyond chance.
+
+    Args:
+        errors: heights minus predictions, shape=(touches,) [m].
+        others: by another prediction [m].
+    """
+    gains = others**2 - errors**2
+    return bool(gains.mean() > _CLEARLY * gains.std() / np.sqrt(len(gains)))

@@ -227,12 +227,44 @@ def test_touches_with_a_number_missing_are_refused(lost: str, travels: np.ndarra
 def test_steps_of_one_drive_are_those_of_all_and_comments_are_none(travels: np.ndarray, tmp_path: Path) -> None:
     text = re.sub("(microsteps|rotation_distance): .*\n", "", klipper(Delta(), travels))
     (tmp_path / "printer.cfg").write_text(text.replace("[stepper_a]", f"[stepper_a]\nstep_distance: {MICROSTEP}"))
-    (tmp_path / "usual.cfg").write_text(klipper(Delta(), travels))
+    usual = klipper(Delta(), travels).replace("angle: 90.0", "angle: 90.0 ; of the third tower")
+    (tmp_path / "usual.cfg").write_text(usual)
     one, other = (calibrate_printer(tmp_path / name).after for name in ("printer.cfg", "usual.cfg"))
     np.testing.assert_allclose(one.end_stops, other.end_stops, rtol=1e-9)
     log = tmp_path / "bed.log"
     log.write_text("; not a [printer] of Klipper\nM665 L270 R130 H245\nM666 X0 Y0 Z0\n")
     assert read_firmware(log, log.read_text()).firmware == "RepRapFirmware"
+
+
+@pytest.mark.parametrize("kept", [7, 19])
+def test_one_wrong_touch_is_named(kept: int, tmp_path: Path) -> None:
+    """Ten millimetres more of one drive: seven touches are too few to fit without it, nineteen are enough."""
+    travels = touched(TRUTH, TRUTH, points()[:kept], np.random.default_rng(3))
+    travels[4, 1] += 10.0
+    (tmp_path / "printer.cfg").write_text(klipper(TRUTH, travels))
+    with pytest.raises(CalibrationRefusedError, match="touch 4, counted from 0, is off by"):
+        calibrate_printer(tmp_path / "printer.cfg")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "line"),
+    [
+        ("R130", "R130,5", 1),
+        ("H245", "H2.45e2", 1),
+        ("X0.1", "X0.1mm", 2),
+        ("Z: 0.02", "Z: nan", 5),
+        ("Z: 0.02", "Z: 0,02", 5),
+    ],
+)
+def test_words_that_are_no_numbers_are_refused(right: str, wrong: str, line: int, tmp_path: Path) -> None:
+    probed = [f"Bed X: {10 * k}.0 Y: 0.0 Z: 0.0{k}" for k in range(8)]
+    text = "\n".join(["Send: M665 L270 R130 H245 (mm)*71", "Send: M666 X0.1 Y0 Z0 ; M665, M666", *probed])
+    path = tmp_path / "printer.log"
+    file = read_firmware(path, text.replace("*71", ""))
+    assert len(file.touches(file.printer())) == 8
+    assert read_firmware(path, text.replace("(mm)", " ")).printer() == file.printer()
+    with pytest.raises(MeasurementError, match=f"line {line}: .*expected"):
+        read_firmware(path, text.replace(right, wrong))
 
 
 def test_a_rotary_delta(tmp_path: Path) -> None:
