@@ -137,10 +137,27 @@ class Viewer(ShownScene):
             self._panel["machine"] = self._sliders.machine_data(self._bodies)
         self._configuration = mechanism.home
         self.display(mechanism.home)
+        self.init_viewer(viewer, open=open)
+
+    def init_viewer(self, viewer: Any = None, open: bool = False, loadModel: bool = False) -> None:
+        """Draw the robot into a `meshcat.Visualizer` too, and open the page, as Pinocchio's `initViewer` does.
+
+        The robot's model is always loaded.
+        """
         if viewer is not None:
             mirror(self.scene, viewer)
         if open:
             self.open()
+
+    initViewer = init_viewer  # noqa: N815
+    """As Pinocchio's MeshcatVisualizer calls it."""
+
+    def load_viewer_model(self) -> None:
+        """Show the robot at home, as after Pinocchio's `loadViewerModel`; its bodies are loaded from the start."""
+        self.display(self.mechanism.home)
+
+    loadViewerModel = load_viewer_model  # noqa: N815
+    """As Pinocchio's MeshcatVisualizer calls it."""
 
     @property
     def configuration(self) -> Configuration:

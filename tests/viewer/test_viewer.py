@@ -261,3 +261,17 @@ def test_frames_by_their_numbers_as_in_pinocchio(mechanism: Robot) -> None:
     assert "frames" not in legend(viewer)
     with pytest.raises(InvalidValueError, match="9999"):
         viewer.displayFrames(True, [9999])
+
+
+def test_a_script_for_pinocchios_visualizer_runs(mechanism: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = []
+    monkeypatch.setattr(Viewer, "open", lambda viewer: opened.append(viewer))
+    viewer = Viewer(mechanism, sliders=False)
+    viewer.initViewer(open=False)
+    viewer.initViewer(loadModel=True)
+    assert not opened
+    viewer.initViewer(open=True)
+    assert opened == [viewer]
+    viewer.display(mechanism.solve(np.array(mechanism.home_coordinates) + 1e-3))
+    viewer.loadViewerModel()
+    np.testing.assert_array_equal(viewer.configuration.q, mechanism.home.q)
