@@ -33,6 +33,7 @@ UNKNOWN = 1e3
 
 _DAMPING = 1e-4  # (1 / 100 tolerances)^2: no linearisation is valid beyond that, if nothing else limits a step
 _REWEIGHTINGS = 200
+_USED_KNOWN = 5  # reweightings, after which the degrees of freedom that parameters use up hardly change
 _SETTLED = 1e-6  # change of weights
 _HUBER = 0.95  # fraction of good measurements with full weight
 _TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one dimension
@@ -140,13 +141,15 @@ class Linearisation:
         if start is not None:
             weights, factors = start.weights, start.noise_factors
         x, dimensions = self._solve(weights, factors), self.dimensions.sum(axis=1)
+        used = np.zeros(0)
         kinds = {"squares": ("squares",), "huber": ("huber",), "tukey": ("huber", "tukey")}[loss]
         for kind in kinds if start is None else kinds[-1:]:
-            for _ in range(_REWEIGHTINGS):
+            for step in range(_REWEIGHTINGS):
                 last, last_factors = weights, factors
                 squares = self.squares(x)
                 if start is None and kind != "tukey":
-                    factors = self.noise_factors(squares, factors)
+                    used = self._used(factors) if step < _USED_KNOWN else used
+                    factors = self.noise_factors(squares, used)
                 weights = _weights(squares @ factors**-2.0, dimensions, kind)
                 x = self._solve(weights, factors)
                 if max(np.abs(weights - last).max(), np.abs(factors - last_factors).max()) < _SETTLED:
@@ -157,18 +160,18 @@ class Linearisation:
         """Return |r_k|^2 of each kind of coordinate, shape=(n, kinds)."""
         return np.asarray(self.left_over(x) ** 2 @ self.kinds)
 
-    def noise_factors(self, squares: Array, before: Array) -> Array:
+    def noise_factors(self, squares: Array, used: Array) -> Array:
         """Return the ratio of the residuals' scatter to their sigmas, at least 1; the median ignores outliers.
 
         Args:
             squares: of the residuals, shape=(n, kinds).
-            before: the factors with which these were fitted, shape=(kinds,): with more noise, parameters absorb less.
+            used: degrees of freedom that the parameters use up, shape=(kinds,): less where the noise is larger.
         """
-        factors = np.ones(len(before))
-        for kind, (used, own) in enumerate(zip(self._used(before), self.dimensions.T, strict=True)):
+        factors = np.ones(len(used))
+        for kind, (lost, own) in enumerate(zip(used, self.dimensions.T, strict=True)):
             if (seen := own > 0).any():
                 median = np.median(squares[seen, kind] / _chi_square_quantile(0.5, own[seen]))
-                freedom = max(_MIN_FREEDOM, 1.0 - used / own.sum())
+                freedom = max(_MIN_FREEDOM, 1.0 - lost / own.sum())
                 factors[kind] = max(1.0, np.sqrt(median / freedom))
         return factors
 
@@ -234,9 +237,19 @@ class Linearisation:
             u, s, _ = np.linalg.svd((self.rows * sigmas).reshape(-1, len(sigmas)), full_matrices=False)
             leverages = u**2 @ (s > REGRESSOR_TOLERANCE * s.max(initial=0.0))
             return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
+        if (gram := self._gram) is not None:
+            noise = np.tile(self.kinds @ factors**2, len(self.rows))
+            leverages = np.einsum("ij,ji->i", gram, np.linalg.inv(gram + np.diag(noise)))
+            return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
         blocks = [block / factor**2 for block, factor in zip(self._blocks, factors, strict=True)]
         inverse = np.linalg.inv(sum(blocks, np.eye(len(sigmas))))
         return np.array([np.sum(block * inverse) for block in blocks])
+
+    @cached_property
+    def _gram(self) -> Array | None:
+        """Products of the rows with each other, in units of the prior; None unless there are fewer than parameters."""
+        rows = (self.rows * np.minimum(self.sigmas, UNKNOWN)).reshape(-1, len(self.sigmas))
+        return rows @ rows.T if len(rows) < len(self.sigmas) else None
 
     @cached_property
     def _blocks(self) -> list[Array]:

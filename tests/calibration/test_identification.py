@@ -181,23 +181,27 @@ def test_residuals_of_few_measurements_are_less_than_the_noise() -> None:
     count, dimension, used = 1001, 6, 4000
     places = (np.arange(count) + 0.5) / count
     noise = 3.0**2 * chi2.ppf(places, dimension)
-    problem = SimpleNamespace(dimensions=np.full((count, 2), dimension), _used=lambda factors: np.array([used, 0.0]))
+    problem = SimpleNamespace(dimensions=np.full((count, 2), dimension))
     left = (count * dimension - used) / (count * dimension)
     squares = np.stack([left * noise, 4.0 * noise], axis=1)
-    found = Linearisation.noise_factors(problem, squares, np.ones(2))  # type: ignore[arg-type]
+    found = Linearisation.noise_factors(problem, squares, np.array([used, 0.0]))  # type: ignore[arg-type]
     np.testing.assert_allclose(found, [3.0, 6.0], rtol=1e-9)
 
 
-def test_parameters_use_up_the_trace_of_the_hat_matrix() -> None:
+@pytest.mark.parametrize("count", [15, 1])
+def test_parameters_use_up_the_trace_of_the_hat_matrix(count: int) -> None:
+    """Of many rows, and of fewer than parameters."""
     generator = np.random.default_rng(0)
-    rows, sigmas = generator.standard_normal((15, 3, 4)), np.array([0.1, 0.3, 1.0, 3.0])
+    rows, sigmas = generator.standard_normal((count, 3, 4)), np.array([0.1, 0.3, 1.0, 3.0])
     design = rows.reshape(-1, 4)
     kinds, factors = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([1.0, 5.0])
-    design = design / np.tile(kinds @ factors, 15)[:, None]  # rows of more noise are weighted less
+    design = design / np.tile(kinds @ factors, count)[:, None]  # rows of more noise are weighted less
     hat = design @ np.linalg.inv(design.T @ design + np.diag(sigmas**-2)) @ design.T
     problem = SimpleNamespace(prior=PRIOR, rows=rows, kinds=kinds, sigmas=sigmas)
     problem._blocks = Linearisation._blocks.func(problem)  # type: ignore[attr-defined]
-    used = np.diag(hat).reshape(15, 3).sum(axis=0) @ kinds
+    problem._gram = Linearisation._gram.func(problem)  # type: ignore[attr-defined]
+    assert (problem._gram is None) == (count > 1)
+    used = np.diag(hat).reshape(count, 3).sum(axis=0) @ kinds
     np.testing.assert_allclose(Linearisation._used(problem, factors), used, rtol=1e-12)  # type: ignore[arg-type]
 
 
