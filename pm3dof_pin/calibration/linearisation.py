@@ -232,9 +232,9 @@ class Linearisation:
 
     def _used(self, factors: Array) -> Array:
         """Return the degrees of freedom that the parameters use up in each kind of coordinate, given noise factors."""
-        sigmas = np.minimum(self.sigmas, UNKNOWN)
         if np.isinf(self.prior):
-            u, s, _ = np.linalg.svd((self.rows * sigmas).reshape(-1, len(sigmas)), full_matrices=False)
+            rows = self.rows * np.minimum(self.sigmas, UNKNOWN)
+            u, s, _ = np.linalg.svd(rows.reshape(-1, len(self.sigmas)), full_matrices=False)
             leverages = u**2 @ (s > REGRESSOR_TOLERANCE * s.max(initial=0.0))
             return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
         if (gram := self._gram) is not None:
@@ -242,7 +242,7 @@ class Linearisation:
             leverages = np.einsum("ij,ji->i", gram, np.linalg.inv(gram + np.diag(noise)))
             return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
         blocks = [block / factor**2 for block, factor in zip(self._blocks, factors, strict=True)]
-        inverse = np.linalg.inv(sum(blocks, np.eye(len(sigmas))))
+        inverse = np.linalg.inv(sum(blocks, np.eye(len(self.sigmas))))
         return np.array([np.sum(block * inverse) for block in blocks])
 
     @cached_property

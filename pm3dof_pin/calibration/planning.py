@@ -208,6 +208,7 @@ class PlanningProblem:
         Raises:
             InvalidValueError: an unknown strategy, or too few candidates far enough from each other.
         """
+        require_choice("strategy", strategy, Strategy)
         chosen = self._chosen(count, strategy, generator, restarts)
         return Plan(
             strategy,
@@ -287,8 +288,6 @@ class PlanningProblem:
             "least-sensitive": lambda: self._spacing.draw(np.flatnonzero(self.least_sensitive), count, generator),
             "random": lambda: self._spacing.draw(np.arange(len(self.candidates)), count, generator),
         }
-        if strategy not in chooser:
-            raise InvalidValueError("strategy", strategy, f"one of {', '.join(STRATEGIES)}")
         return np.sort(chooser[strategy]())
 
     def _space_filling(self, count: int, generator: np.random.Generator) -> Indices:

@@ -262,7 +262,7 @@ class _Loops:
         through = tool[:, :, free] * scale
         covectors: Array | None
         unmet = np.zeros((len(tool), 0, len(robot.closure_scale)))
-        excess = len(driven) - len(robot.placing_drives)
+        excess = self._excess
         if len(free) + excess != robot.closure_scale.size:
             found = None if excess else _redundant_covectors(passive, through)
             if found is None:
@@ -287,6 +287,11 @@ class _Loops:
         if np.abs(strains[:, :, inputs]).max(initial=0.0) > RANK_TOLERANCE:
             return None
         return np.concatenate([tool[:, :, nv:], tool[:, :, driven]], axis=2)
+
+    @property
+    def _excess(self) -> int:
+        """How many more drives there are than degrees of freedom."""
+        return len(self._robot.actuated_indices) - len(self._robot.placing_drives)
 
     @property
     def _give(self) -> Vector:
@@ -330,9 +335,8 @@ class _Loops:
         inverse = np.where(values > noise, 1.0 / np.where(values > noise, values, 1.0), 0.0)
         kept = np.where(values > noise, 1.0, 0.0)[:, :, None] * right
         self._require_tool_at_rest(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
-        excess = len(driven) - len(robot.placing_drives)
-        if excess:
-            return self._shared_rates(rates, passive, pushed, excess)
+        if self._excess:
+            return self._shared_rates(rates, passive, pushed)
         in_range = np.swapaxes(left, 1, 2) @ pushed
         followed = np.swapaxes(right, 1, 2) @ (inverse[:, :, None] * in_range)
         rates[:, free] = -velocity_scale[:, None] * followed
@@ -347,7 +351,7 @@ class _Loops:
             )
         return rates, strain
 
-    def _shared_rates(self, rates: Array, passive: Array, pushed: Array, excess: int) -> tuple[Array, Array]:
+    def _shared_rates(self, rates: Array, passive: Array, pushed: Array) -> tuple[Array, Array]:
         """Return what :meth:`followed_rates` does, of more drives than degrees of freedom.
 
         They give way by the least norm, in radians and units of length, as equally stiff drives do.
@@ -356,7 +360,7 @@ class _Loops:
         free, scale = robot.passive_indices, robot.velocity_scale
         inverse = np.linalg.pinv(passive, rcond=RANK_TOLERANCE)
         unmet = pushed - passive @ (inverse @ pushed)
-        give = self._give
+        give, excess = self._give, self._excess
         by_drives = unmet[:, :, : len(driven)] * give
         sizes = np.linalg.svd(by_drives, compute_uv=False)
         noise = RANK_TOLERANCE * np.abs(pushed).max(axis=(1, 2), initial=0.0)

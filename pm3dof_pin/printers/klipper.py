@@ -219,15 +219,14 @@ class KlipperFile:
     def _step(self, axis: str, *, rotary: bool) -> float:
         """Return a drive's travel in one step [m, rad]."""
         section = f"stepper_{axis}"
-        if "step_distance" in self.options.get(section, {}) or "rotation_distance" not in self.options.get(section, {}):
-            distance = self._number(section, "step_distance", self._fallback("step_distance", 0.0))
-            if distance:
-                return distance * (1.0 if rotary else 1e-3)
-        turn = (
-            2.0 * math.pi
-            if rotary
-            else 1e-3 * self._number(section, "rotation_distance", self._fallback("rotation_distance"))
-        )
+        has_own = {"step_distance", "rotation_distance"} & self.options.get(section, {}).keys()
+        given = section if has_own else "stepper_a"
+        if "step_distance" in self.options.get(given, {}):
+            distance = self._number(given, "step_distance") * (1.0 if rotary else 1e-3)
+            if not distance > 0.0:
+                raise MeasurementError(self.path, f"[{given}] step_distance: expected a positive number")
+            return distance
+        turn = 2.0 * math.pi if rotary else 1e-3 * self._number(given, "rotation_distance")
         ratio = 1.0
         gears = self.options.get(section, {}).get("gear_ratio", self.options.get("stepper_a", {}).get("gear_ratio", ""))
         for pair in filter(None, (word.strip() for word in gears.split(","))):
@@ -245,8 +244,8 @@ class KlipperFile:
             raise MeasurementError(self.path, problem)
         return turn / steps
 
-    def _fallback(self, option: str, default: float | None = None) -> float | None:
-        return self._number("stepper_a", option, default) if option in self.options.get("stepper_a", {}) else default
+    def _fallback(self, option: str) -> float | None:
+        return self._number("stepper_a", option) if option in self.options.get("stepper_a", {}) else None
 
     def _word(self, section: str, option: str) -> str:
         try:

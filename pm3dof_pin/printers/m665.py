@@ -61,8 +61,8 @@ class GCodeLog:
         """Read the last M665 and M666, and all heights after them.
 
         Raises:
-            MeasurementError: the heights and the points of RepRapFirmware are not as many, a word is no number, or M665
-                has neither one arm length nor three.
+            MeasurementError: heights and points of RepRapFirmware differ in number, a word is no number, or M665 has
+                neither one arm length nor three.
         """
         geometry: dict[str, float] = {}
         arms: tuple[float, ...] = ()

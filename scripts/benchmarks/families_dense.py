@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from compliance import bare_calls
 from families import FAMILIES
 from timing import least_times
 
@@ -99,11 +98,11 @@ def study(family: str, size: int, folder: Path) -> str:
         expected, found = np.array([each[name] for each in own]), compute(every, threads=1)[:FEW]
         words.append(f"{np.abs(found - expected).max() / np.abs(expected).max():.0e}")
     times = least_times(
-        {"dense": partial(dense.solve, poses), "bare": bare_calls(robot, poses)}
+        {"dense": partial(dense.solve, poses)}
         | {name: partial(compute, every, threads=1) for name, compute in programs.items()},
         ROUNDS,
     )
-    each = {name: seconds / (FEW if name in ("dense", "bare") else MANY) for name, seconds in times.items()}
+    each = {name: seconds / (FEW if name == "dense" else MANY) for name, seconds in times.items()}
     faster = ", ".join(f"{each['dense'] / each[name]:.0f}" for name in programs)
     micro = ", ".join(f"{1e6 * each[name]:.2f}" for name in programs)
     return f"| {family} {size} | {', '.join(words)} | {1e6 * each['dense']:.0f} | {micro} | {faster} |"

@@ -88,20 +88,21 @@ def described(robot: str) -> pm.GeometricErrors:
     return closable(pm.GeometricErrors.load(ROBOTS[robot], tool_frame="tool0" if robot == "arm" else None))
 
 
+DRAWN: dict[str, Callable[[np.random.Generator, float, float], Machine]] = {
+    "tripod": Tripod.random,
+    "delta": Rods.delta,
+    "hexapod": Rods.hexapod,
+    "3-RPS": Hinged.random,
+    "6-RUS": Rods.cranks,
+    "five-bar": FiveBar.random,
+}
+"""Machines that are drawn from dimensions of their own; an arm takes those of its description."""
+
+
 def drawn(robot: str, generator: np.random.Generator, size: float, richness: float) -> Machine:
     """Draw a machine."""
-    if robot == "tripod":
-        return Tripod.random(generator, size, richness)
-    if robot == "delta":
-        return Rods.delta(generator, size, richness)
-    if robot == "hexapod":
-        return Rods.hexapod(generator, size, richness)
-    if robot == "3-RPS":
-        return Hinged.random(generator, size, richness)
-    if robot == "6-RUS":
-        return Rods.cranks(generator, size, richness)
-    if robot == "five-bar":
-        return FiveBar.random(generator, size, richness)
+    if robot in DRAWN:
+        return DRAWN[robot](generator, size, richness)
     mechanism = described(robot).robot
     joints = range(1, mechanism.model.njoints)
     placements = [mechanism.model.jointPlacements[j].homogeneous for j in joints]

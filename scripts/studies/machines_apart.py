@@ -122,6 +122,13 @@ def _solved(missed, start: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped
     return x
 
 
+def _sagging(x: np.ndarray, sag: float) -> np.ndarray:
+    """Return placements of platforms at x, y, z and rotation vectors, shape=(n, 6), that sag more beside the middle."""
+    places = x[:, :3].copy()
+    places[:, 2] -= sag * (1.0 + 0.3 * np.sum(x[:, :2] ** 2, axis=1) / 0.1**2)
+    return _placement(Rotation.from_rotvec(x[:, 3:]).as_matrix(), places)
+
+
 def _placement(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
     tool = np.tile(np.eye(4), (len(positions), 1, 1))
     tool[:, :3, :3], tool[:, :3, 3] = rotations, positions
@@ -305,8 +312,7 @@ class Rods(Machine):
         if not self.stretch and self.arms is None:
             start[:, 2] = height
         x = _solved(missed, start)
-        x[:, 2] -= self.effects.sag * (1.0 + 0.3 * np.sum(x[:, :2] ** 2, axis=1) / 0.1**2)
-        return _placement(Rotation.from_rotvec(x[:, 3:]).as_matrix(), x[:, :3]) @ self.tool
+        return _sagging(x, self.effects.sag) @ self.tool
 
 
 @dataclass
@@ -344,8 +350,7 @@ class Hinged(Machine):
             return np.concatenate([own[..., 1] - side, np.hypot(own[..., 0], own[..., 2]) - length], axis=1)
 
         x = _solved(missed, np.tile([0.0, 0.0, 0.74, 0.0, 0.0, 0.0], (len(u), 1)))
-        x[:, 2] -= self.effects.sag * (1.0 + 0.3 * np.sum(x[:, :2] ** 2, axis=1) / 0.1**2)
-        return _placement(Rotation.from_rotvec(x[:, 3:]).as_matrix(), x[:, :3])
+        return _sagging(x, self.effects.sag)
 
 
 @dataclass
