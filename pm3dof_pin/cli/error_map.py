@@ -17,7 +17,8 @@ from pm3dof_pin.cli.map_options import EngineOption, Over, Values, robot_grid
 from pm3dof_pin.cli.options import Json, Out, Wrench
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.poses import value_in_words, with_units
+from pm3dof_pin.cli.poses import with_units
+from pm3dof_pin.description.coordinates import value_in_words
 from pm3dof_pin.errors.error_budget import budget_as_data
 from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare, section_grid
 from pm3dof_pin.errors.error_map import error_map as error_map_at

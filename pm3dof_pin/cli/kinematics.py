@@ -22,11 +22,10 @@ from pm3dof_pin.cli.poses import (
     si_values,
     solve_chosen,
     solve_pose,
-    value_in_words,
     with_units,
     write_batch,
 )
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, shown_in
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, shown_in, value_in_words
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.assembly_modes import AssemblyModes, assembly_modes
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names

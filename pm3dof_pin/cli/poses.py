@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.cli.options import PlaceOptions, PoseOptions
 from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, stop_on_broken_limits
-from pm3dof_pin.description.coordinates import Coordinate, shown_in
+from pm3dof_pin.description.coordinates import Coordinate, pose_in_words, shown_in
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.broken_limits import broken_limits
@@ -56,7 +56,7 @@ def print_at_pose(pose: Poses, result: Mapping[str, Any], lines: Sequence[str], 
     header: dict[str, Any] = {"robot": robot.name}
     if robot.coordinates:
         header["pose"] = {c.name: float(value) for c, value in zip(robot.coordinates, pose.coordinates, strict=True)}
-        lines = [f"pose {_pose_in_words(robot.coordinates, pose.coordinates)}", "", *lines]
+        lines = [f"pose {pose_in_words(robot.coordinates, pose.coordinates)}", "", *lines]
     print_result(header | dict(result), lines, as_json=as_json)
     stop_on_broken_limits(broken_limits(robot, pose.configuration()))
 
@@ -70,7 +70,7 @@ def solve_pose(robot: Robot, values: Vector, *, forward: bool = False) -> Poses:
         return solve(values, engine="pinocchio")
     except UnreachablePoseError as error:
         raise UnreachablePoseError(
-            f"pose {_pose_in_words(given, values)} is out of reach: no assembled configuration was found "
+            f"pose {pose_in_words(given, values)} is out of reach: no assembled configuration was found "
             f"({error.reason}){_ranges_left(robot, given, values)}"
         ) from error
 
@@ -108,12 +108,6 @@ def names_and_units(coordinates: Sequence[Coordinate]) -> list[dict[str, str]]:
 def with_units(coordinates: Sequence[Coordinate], values: Iterable[float]) -> dict[str, float]:
     """Return values of coordinates [rad, m] by NAME_UNIT, such as "theta_x_rad"."""
     return {f"{c.name}_{c.unit}": float(value) for c, value in zip(coordinates, values, strict=True)}
-
-
-def value_in_words(name: str, unit: str, value: float, digits: str = ".9g") -> str:
-    """Format a value [rad, m] as in "theta_x = 10 deg", with the format `digits`."""
-    factor, shown = shown_in(unit)
-    return f"{name} = {round(factor * value, 9) + 0.0:{digits}} {shown}"
 
 
 def column_of(name: str, unit: str) -> str:
@@ -166,11 +160,6 @@ def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayL
         small = ", ".join(f"{c.name} = {worst:g}" for c, worst in angles if worst)
         turned = ", ".join(f"{math.degrees(worst):.6g}" for _, worst in angles if worst)
         message(f"pm3dof: reading {small} as degrees; if radians were meant: {turned}")
-
-
-def _pose_in_words(coordinates: Sequence[Coordinate], values: Sequence[float] | Vector) -> str:
-    """Return a pose [rad, m] as `theta_x = 10 deg, z_e = 0.5 m`."""
-    return ", ".join(value_in_words(c.name, c.unit, value) for c, value in zip(coordinates, values, strict=True))
 
 
 def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], values: Vector) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -25,6 +25,18 @@ def unit_of(component: ToolComponent) -> Unit:
 def shown_in(unit: str) -> tuple[float, str]:
     """Return the factor from SI to display units, and the display unit: angles are in degrees."""
     return (180.0 / math.pi, "deg") if unit == "rad" else (1.0, unit)
+
+
+def value_in_words(name: str, unit: str, value: float, digits: str = ".9g") -> str:
+    """Format a value [rad, m] as in "theta_x = 10 deg", with the format `digits`."""
+    factor, shown = shown_in(unit)
+    return f"{name} = {round(factor * value, 9) + 0.0:{digits}} {shown}"  # no minus sign on zero
+
+
+def pose_in_words(coordinates: Sequence[Coordinate | Command], values: Iterable[float], digits: str = ".9g") -> str:
+    """Return a pose [rad, m] as in "theta_x = 10 deg, z_e = 0.5 m", each number with the format `digits`."""
+    pairs = zip(coordinates, values, strict=True)
+    return ", ".join(value_in_words(each.name, each.unit, value, digits) for each, value in pairs)
 
 
 class Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -122,7 +122,7 @@ def _loop_motion(
     if Restriction(dof.actuators_and_tool, given.motions).rank.rank > 0:
         raise SingularConfigurationError(
             f"{mechanism.name}: actuated joints or the tool can move while {', '.join(names) or 'no joint'} "
-            f"are at rest; at q = {listed(configuration.q)}"
+            f"are at rest; at {configuration.in_words}"
         )
     start = finite_array("rates", rates, indices.shape) / dof.scale[indices]
     wanted = finite_array("accelerations", accelerations, indices.shape) / dof.scale[indices]

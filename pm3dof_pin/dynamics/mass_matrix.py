@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.arrays import frozen, listed
+from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
@@ -46,7 +46,7 @@ def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None
     idle = dof.idle.motions.shape[1] if mechanism.tool_frame is not None else 0
     if dof.at_actuators.motions.shape[1] > idle:
         raise SingularConfigurationError(
-            f"{mechanism.name}: the tool can move with the actuated joints at rest; at q = {listed(configuration.q)}"
+            f"{mechanism.name}: the tool can move with the actuated joints at rest; at {configuration.in_words}"
         )
     motions = dof.scale[:, None] * dof.at_actuators.inverse / dof.scale[mechanism.actuated_indices]
     product = motions.T @ mass_matrix(configuration, payloads=payloads) @ motions

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.arrays import frozen, listed
+from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import ConvergenceError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.singularity import singularities
@@ -103,7 +103,7 @@ def balance(configuration: Configuration, load: Vector, *, reference: float) -> 
     if work > rounding:
         raise SingularConfigurationError(
             f"{mechanism.name}: no actuator forces balance the load: {_name(configuration, dof)}; "
-            f"residual {work / mechanism.characteristic_length:.3e} N; at q = {listed(configuration.q)}"
+            f"residual {work / mechanism.characteristic_length:.3e} N; at {configuration.in_words}"
         )
     actuators = dof.at_actuators.inverse.T @ scaled
     left = scaled - dof.actuators.T @ actuators

@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array, frozen, listed, require_kind
+from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
 from pm3dof_pin.exceptions import FreeDirectionError, RigidDirectionError
@@ -114,7 +114,7 @@ class CartesianCompliance:
         bases = "', '".join(robot.description.floating_bodies)
         cause = f"; the base '{bases}' floats: hold it (--hold-base, hold_base=True)" if bases else ""
         names = direction_names(directions)
-        return f"frame '{self.frame}' {finding}: {names}{cause}; at q = {listed(self.configuration.q)}"
+        return f"frame '{self.frame}' {finding}: {names}{cause}; at {self.configuration.in_words}"
 
 
 def cartesian_compliance(

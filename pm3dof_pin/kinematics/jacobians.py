@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import frozen, listed, require_kind
+from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.branches import samples_near_home
@@ -230,11 +230,11 @@ class ReferenceMotions:
             alone = [rate.name for k, rate in enumerate(of) if Restriction(wanted[[k]], given.motions).rank.rank]
             raise SingularConfigurationError(
                 f"{robot.name}: {', '.join(alone or [rate.name for rate in of])} can move with {names} at rest, "
-                f"at q = {listed(configuration.q)}"
+                f"at {configuration.in_words}"
             )
         if given.rank.rank < min(len(by), dof.count):
             raise SingularConfigurationError(
-                f"{robot.name}: the rates of {names} depend on each other at q = {listed(configuration.q)}"
+                f"{robot.name}: the rates of {names} depend on each other at {configuration.in_words}"
             )
         self._dof, self._given = dof, given
         self.motions: Matrix = dof.scale[:, None] * given.inverse / self._column_scale

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.description.coordinates import Coordinate, shown_in
+from pm3dof_pin.description.coordinates import Coordinate, pose_in_words
 from pm3dof_pin.exceptions import ConvergenceError, PM3DofError
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.branches import Branches, branches_of, start_of
@@ -90,7 +90,7 @@ class Reference:
         if branches is not None and np.isfinite(beyond).all():
             kind = branches.kind(branches.number(beyond) ^ branches.number(start))
         values = _read(robot, coordinates, walk.last)
-        pose = ", ".join(_in_words(c, v) for c, v in zip(coordinates, values, strict=True))
+        pose = pose_in_words(coordinates, values.round(6), ".4g")
         return (
             f"it lies beyond a {kind} singularity, met near {pose}, on another branch; a configuration 'home' of the "
             "description on that branch, or a guess there, makes it reachable"
@@ -109,11 +109,6 @@ class Reference:
             return np.array(list(walks))
 
         return waypoints(robot, coordinates, start_of(robot), walk)
-
-
-def _in_words(coordinate: Coordinate, value: float) -> str:
-    factor, unit = shown_in(coordinate.unit)
-    return f"{coordinate.name} = {round(factor * value, 4) + 0.0:.4g} {unit}"  # no minus sign on zero
 
 
 def _read(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], q: Vector) -> Vector:

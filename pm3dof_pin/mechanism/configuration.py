@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import frozen, require_kind
+from pm3dof_pin.arrays import frozen, listed, require_kind
+from pm3dof_pin.description.coordinates import pose_in_words
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Vector
@@ -79,6 +80,15 @@ class Configuration:
     def __str__(self) -> str:
         numbers = np.array2string(self._q, precision=4, suppress_small=True, threshold=12, separator=", ")
         return f"q = {numbers} of {self._mechanism.name}"
+
+    @property
+    def in_words(self) -> str:
+        """Where it is, for messages: its commands, as in "u1 = 0.2 m, u2 = 15 deg", or q of a robot without drives."""
+        commands = self._mechanism.commands
+        if not commands:
+            return f"q = {listed(self._q)}"
+        values = (c.scale * self.joint_position(c.joint) + c.offset for c in commands)
+        return pose_in_words(commands, values, ".4g")
 
     @property
     def mechanism(self) -> Mechanism:
