@@ -28,6 +28,7 @@ PIVOT = 1e-5
 
 _SWEEPS = 6  # of rotations, for singular values
 _TINY = 1e-300
+_BELOW_ROUNDING = 1e-18  # compared with 1; its square exists in single precision too
 
 DROPPED = 1e-9
 """Larger entries dropped as zero leave a rank in doubt."""
@@ -92,7 +93,8 @@ class Elimination:
     rest: Objects  #: the other rows, zero in all these columns, shape=(m - r, n)
     #: the orthogonal matrices applied to the rows, in order
     reflections: tuple[Reflection, ...] = field(repr=False)
-    rest_rows: tuple[int, ...]  #: which rows of the system became the rest
+    places: tuple[int, ...]  #: which rows of the system became the pivot rows
+    rest_places: tuple[int, ...]  #: which rows of the system became the rest
 
     def carry(self, columns: Objects) -> tuple[Objects, Objects]:
         """Apply the reflections to more columns of the system; return their parts in the pivot rows and in the rest."""
@@ -102,14 +104,13 @@ class Elimination:
             for reflection in self.reflections:
                 reflection.apply(numbers)
             carried[:, c] = numbers
-        pivots = [reflection.indices[0] for reflection in self.reflections]
-        return carried[pivots], carried[list(self.rest_rows)]
+        return carried[list(self.places)], carried[list(self.rest_places)]
 
     def complement(self) -> Objects:
         """Return the orthonormal rows that map the system to its rest, shape=(m - r, m)."""
-        count = len(self.rest_rows) + len(self.columns)
-        rows = zeros(len(self.rest_rows), count)
-        for row, place in zip(rows, self.rest_rows, strict=True):
+        count = len(self.rest_places) + len(self.places)
+        rows = zeros(len(self.rest_places), count)
+        for row, place in zip(rows, self.rest_places, strict=True):
             numbers: list[Scalar] = [0.0] * count
             numbers[place] = 1.0
             for reflection in reversed(self.reflections):
@@ -131,7 +132,7 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     largest = max(usual.values(), default=0.0)
     done: list[int] = []
     dropped: list[int] = []
-    pivots: list[int] = []
+    places: list[int] = []
     reflections: list[Reflection] = []
     changed = list(columns)
     fronts: dict[int, list[int]] = {}
@@ -152,42 +153,74 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
             break
         enough = _SHARE * max(sizes.values())
         chosen = min((c for c, size in sizes.items() if size >= enough), key=lambda c: (len(fronts[c]), -c))
-        reflection = _reflect({i: rows[i][chosen] for i in fronts[chosen]})
-        indices = reflection.indices
-        touched = [c for c in range(system.shape[1]) if not all(is_zero(rows[i][c]) for i in indices)]
-        for c in touched:
-            column: dict[int, Scalar] = {i: rows[i][c] for i in indices}
-            if c == chosen:
-                column = {**dict.fromkeys(indices, 0.0), indices[0]: reflection.pivot}
-            else:
-                reflection.apply(column)
-            for i in indices:
-                rows[i][c] = column[i]
+        touched: set[int] = set()
+        kept: list[int] = []
+        groups = _alike(fronts[chosen], rows)
+        for group in groups:
+            kept += group
+            if len(kept) > 1 or len(groups) == 1:
+                reflection = _reflect({i: rows[i][chosen] for i in kept}, may_vanish=group is not groups[-1])
+                touched.update(_apply(reflection, rows, chosen))
+                reflections.append(reflection)
+                kept = [reflection.indices[0]]
         doubt.note_pivot(reflection.size)
-        reflections.append(reflection)
         del sizes[chosen]
         done.append(chosen)
-        pivots.append(indices[0])
-        active.remove(indices[0])
+        places += kept
+        active.remove(kept[0])
         changed = [c for c in touched if c in sizes]
     n = system.shape[1]
     return Elimination(
         tuple(done),
         tuple(dropped),
-        np.array([rows[i] for i in pivots], dtype=object).reshape(len(pivots), n),
+        np.array([rows[i] for i in places], dtype=object).reshape(len(places), n),
         np.array([rows[i] for i in active], dtype=object).reshape(len(active), n),
         tuple(reflections),
+        tuple(places),
         tuple(active),
     )
 
 
-def _reflect(vector_entries: Mapping[int, Scalar]) -> Reflection:
-    """Return the matrix that maps a vector, given by its nonzero entries, to the index of the largest."""
+def _alike(front: Sequence[int], rows: Sequence[Sequence[Scalar]]) -> list[list[int]]:
+    """Return groups of rows with their zeros in the same columns, those with most zeros first.
+
+    Reflected one group after the other, they share their zeros with few others: of a closure with redundant equations,
+    these do not enter those of other loops.
+    """
+    groups: dict[tuple[bool, ...], list[int]] = {}
+    for i in front:
+        groups.setdefault(tuple(map(is_zero, rows[i])), []).append(i)
+    return [groups[pattern] for pattern in sorted(groups, key=sum, reverse=True)]
+
+
+def _apply(reflection: Reflection, rows: Sequence[list[Scalar]], column: int) -> list[int]:
+    """Apply the reflection that leaves one entry of a column to all rows, in place; return the columns that change."""
+    indices = reflection.indices
+    touched = [c for c in range(len(rows[0])) if not all(is_zero(rows[i][c]) for i in indices)]
+    for c in touched:
+        entries: dict[int, Scalar] = {i: rows[i][c] for i in indices}
+        if c == column:
+            entries = {**dict.fromkeys(indices, 0.0), indices[0]: reflection.pivot}
+        else:
+            reflection.apply(entries)
+        for i in indices:
+            rows[i][c] = entries[i]
+    return touched
+
+
+def _reflect(vector_entries: Mapping[int, Scalar], *, may_vanish: bool = False) -> Reflection:
+    """Return the matrix that maps a vector, given by its nonzero entries, to the index of the largest.
+
+    Of vectors that may vanish at a pose, the largest entry is changed by far less than rounding: any matrix serves
+    then, but it must exist.
+    """
     sizes = {k: typical(np.abs(samples(entry))) for k, entry in vector_entries.items()}
     indices = tuple(sorted(sizes, key=lambda k: -sizes[k]))
     entries = [vector_entries[k] for k in indices]
     if len(entries) == 1:
         return Reflection(indices, (1.0,), None, entries[0], absolute(entries[0]))
+    if may_vanish:
+        entries[0] = entries[0] + _BELOW_ROUNDING
     size = sqrt(total([entry * entry for entry in entries]))
     if len(entries) == 2:
         inverse = 1.0 / size

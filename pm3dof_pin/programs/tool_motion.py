@@ -398,19 +398,20 @@ def _branch(
     for k, row in enumerate(ports):
         selected[row, k] = 1.0
     carried = np.hstack([motion, weighted])
-    filled = sum(not is_zero(entry) for entry in weighted.ravel())
+    wanted = weighted if weighted.shape[1] else motion
+    filled = sum(not is_zero(entry) for entry in wanted.ravel())
     first = eliminate(passive, range(passive.shape[1]), doubt)
     complement = first.complement()
     held = product(complement, selected)
     explicit = 2 * len(complement) * filled  # cost of a product with the complement
-    is_explicit = explicit < first.cost * weighted.shape[1]
+    is_explicit = explicit < first.cost * wanted.shape[1]
     relations = zeros(0, carried.shape[1])
     if len(held) <= len(ports):
         rest = product(complement, carried) if is_explicit else first.carry(carried)[1]
     else:
         second = eliminate(held, range(len(ports)), doubt)
         held = second.pivot_rows
-        in_turn = second.cost * weighted.shape[1] + min(explicit, first.cost * weighted.shape[1])
+        in_turn = second.cost * wanted.shape[1] + min(explicit, first.cost * wanted.shape[1])
         if second.cost * len(motion) + explicit < in_turn:
             rest, relations = (product(rows, carried) for rows in second.carry(complement))
         else:
