@@ -112,7 +112,7 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
     longest: Scalar = 0.0
     moves: dict[int, Objects] = {}
     for bit, system in enumerate(_systems(equations, held)):
-        solution, size, is_flipped = system.solved(-system.error[:, None], moves)
+        solution, size, is_flipped, _ = system.solved(-system.error[:, None], moves)
         moves |= dict(zip(system.unknowns, solution, strict=True))
         regularity = minimum(regularity, size)
         mode = mode + select(is_flipped, 2.0**bit, 0.0) if bit < _MAX_BITS else mode
@@ -217,8 +217,9 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
 
     Bits say which determinants have another sign than there: those of the systems that the loops form with the
     quantities of the task given, then those of the drives' rates by the rates of these quantities, shape=(drives,
-    quantities), block by block. `drives` are their entries of v. Between configurations on different branches there is
-    a singular one, serial or parallel, see :mod:`pm3dof_pin.kinematics.branches`.
+    quantities), block by block, unless the quantities do not determine the drives. `drives` are their entries of v.
+    Between configurations on different branches there is a singular one, serial or parallel, see
+    :mod:`pm3dof_pin.kinematics.branches`.
     """
     mechanism = tree.mechanism
     held = [mechanism.single_joint(name).v_index for name in task.joints]
@@ -239,14 +240,18 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
             for k, equation in enumerate(equations)
         ]
         systems = _systems([_scaled(tree, equation) for equation in turned], set(held))
+    at_rest: set[int] = set()
     for system in systems:
-        solution, _, is_flipped = system.solved(system.tool_columns(count, len(task.tool)), rates)
+        solution, _, is_flipped, idle = system.solved(system.tool_columns(count, len(task.tool)), rates)
         rates |= dict(zip(system.unknowns, solution, strict=True))
+        at_rest |= {system.unknowns[k] for k in idle}
         if system.rows is not None and not (
             len(system.unknowns) <= 3 and np.array_equal(system.rows, system.selection)
         ):
             is_flipped = _is_flipped(_determinant(system.square(system.unknowns)))
         number = number + select(is_flipped, 2.0 ** next(bits), 0.0)
+    if at_rest & set(drives):  # the quantities do not determine the drives: theirs are some rates of many
+        return number
     matrix = np.vstack([zeros(0, count), *(rates.get(k, zeros(1, count)) for k in drives)])
     sizes = np.array([np.nanmax(np.abs(number_samples(entry))) for entry in matrix.ravel()])
     for rows, columns in connected(sizes.reshape(matrix.shape) > ZERO):
@@ -282,6 +287,15 @@ def _minor(
     for system in systems:
         result = result / _determinant(system.square(system.unknowns))
     return [result]
+
+
+class _Solved(NamedTuple):
+    """Solutions of a system."""
+
+    values: Objects  #: shape=(number of unknowns, number of right-hand sides)
+    regularity: Scalar
+    is_flipped: Truth  #: whether the determinant has another sign than at the first sample
+    at_rest: tuple[int, ...] = ()  #: which unknowns the system does not determine
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,12 +354,8 @@ class _System:
         nothing = objects([0.0] * len(self.error))
         return np.stack([self.columns.get(k, nothing)[kept] for k in columns], axis=1)
 
-    def solved(self, right: Objects, known: Mapping[int, Objects]) -> tuple[Objects, Scalar, Truth]:
-        """Solve for the unknowns, for right-hand sides, shape=(m, k), and known rates, shape=(k,) each.
-
-        Returns solutions, shape=(number of unknowns, k), the regularity, and whether the determinant has another sign
-        than at the first sample.
-        """
+    def solved(self, right: Objects, known: Mapping[int, Objects]) -> _Solved:
+        """Solve for the unknowns, for right-hand sides, shape=(m, k), and known rates, shape=(k,) each."""
         for k, rate in known.items():
             if k in self.columns:
                 moved = [not is_zero(entry) for entry in self.columns[k]]
@@ -397,14 +407,14 @@ def _damped(matrix: Objects, right: Objects, damping: Scalar) -> Objects:
     return np.asarray(_solved_by_elimination(np.vstack([matrix, rows]), extended[:, None])[0][:, 0])
 
 
-def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
+def _solved_directly(matrix: Objects, right: Objects) -> _Solved:
     """Solve a square system of up to three unknowns by Cramer's rule; the regularity is the determinant."""
     determinant, adjugate = _by_cofactors(matrix)
     usual = _usual(determinant)
     if usual == 0.0:
         return _solved_by_elimination(matrix, right)
     inverse = 1.0 / determinant
-    return (adjugate @ right) * inverse, absolute(determinant * (1.0 / usual)), _is_flipped(determinant)
+    return _Solved((adjugate @ right) * inverse, absolute(determinant * (1.0 / usual)), _is_flipped(determinant))
 
 
 def _by_cofactors(matrix: Objects) -> tuple[Scalar, Objects]:
@@ -419,21 +429,22 @@ def _by_cofactors(matrix: Objects) -> tuple[Scalar, Objects]:
     return a @ adjugate[0], adjugate
 
 
-def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
+def _solved_by_elimination(matrix: Objects, right: Objects) -> _Solved:
     """Solve any system by least squares; the regularity is the least pivot, the determinant their product."""
     size = matrix.shape[1]
     result = eliminate(np.hstack([matrix, right]), range(size), Doubt())
     columns = list(result.columns)
     solution = zeros(size, right.shape[1])
     if not columns:
-        return solution, _REGULAR, np.False_
+        return _Solved(solution, _REGULAR, np.False_, result.dropped)
     triangle = result.pivot_rows[:, columns]
     solution[columns] = solve_upper(triangle, result.pivot_rows[:, size:])
     least: Scalar = _REGULAR
     for pivot in np.diag(triangle):
         least = minimum(least, absolute(pivot * (1.0 / (_usual(pivot) or 1.0))))
     is_square = len(matrix) == size == len(columns)
-    return solution, least, _is_flipped(math.prod(np.diag(triangle))) if is_square else np.False_
+    is_flipped = _is_flipped(math.prod(np.diag(triangle))) if is_square else np.False_
+    return _Solved(solution, least, is_flipped, result.dropped)
 
 
 def _determinant(matrix: Objects) -> Scalar:

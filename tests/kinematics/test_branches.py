@@ -28,6 +28,9 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs.checks import checks_program
 from pm3dof_pin.programs.closing import Task, closing_program
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import four_bars
+
 MACHINES = Path(__file__).parents[1] / "machines"
 BASE, PLATFORM = 0.5, 0.2  # radii [m]
 
@@ -200,6 +203,19 @@ def test_both_engines_number_branches_alike_and_poses_return(name):
         back = robot.forward(commands)
         np.testing.assert_allclose(back.commands, commands, atol=1e-9)
         np.testing.assert_allclose(robot.solve(back.coordinates).commands, commands, atol=1e-9)
+
+
+def test_a_chain_with_more_drives_than_the_tool_has_motions_has_no_sign_of_the_drives(tmp_path):
+    """Six rates of its tool do not determine eight drives, so no determinant of some of these bounds a branch.
+
+    No crank passes a dead point: each loop closes for all its angles here, so every command is within reach.
+    """
+    robot = Robot.load(four_bars(8).write(tmp_path))
+    commands = robot.home.commands + np.random.default_rng(0).uniform(-0.3, 0.3, (60, 8))
+    poses = robot.forward(commands, on_failure="nan")
+    assert poses.solved.all()
+    expected = robot.with_engine("pinocchio").forward(commands)
+    assert np.abs(poses.transforms - expected.transforms).max() < 1e-12
 
 
 def test_the_reference_finds_the_same_poses_without_any_compiled_code(tmp_path):
