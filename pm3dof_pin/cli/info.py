@@ -35,6 +35,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.tolerances import CLOSED, RANK_GAP
 
 _CLOSED = 1e-6  # greatest residual of a closed loop [m or rad]
+_SHOWN = 8  # commands of an assembly
 
 FileKind: TypeAlias = Literal["closures", "errors", "parameters"]
 """The YAML files of a robot."""
@@ -255,12 +256,29 @@ def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool
             "branch": number,
             "distance": home.distance,
             "within_limits": home.within_limits,
+            "singularity_distance": home.regularity,
             "joints": {name: home.configuration.joint_position(name) for name in names},
         }
         for number, home in enumerate(homes, start=1)
     ]
-    rows = [[str(entry["branch"]), f"{entry['distance']:.3g}", str(entry["within_limits"])] for entry in entries]
-    lines = table_lines(["branch", "distance from the described home [rad, sizes]", "within limits"], rows)
+    rows = [
+        [
+            str(number),
+            f"{home.distance:.3g}",
+            f"{home.regularity:.2g}",
+            "yes" if home.within_limits else "no",
+            ", ".join(f"{value:.4g}" for value in home.configuration.commands[:_SHOWN]),
+        ]
+        for number, home in enumerate(homes, start=1)
+    ]
+    header = [
+        "branch",
+        "from the described home [rad, sizes]",
+        "from singular ones",
+        "within limits",
+        "commands [m, rad]",
+    ]
+    lines = table_lines(header, rows)
     within = [number for number, home in enumerate(homes, start=1) if home.within_limits]
     if branch is None and len(within or homes) == 1:
         branch = (within or [1])[0]
@@ -326,6 +344,12 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
         )
     elif result["home_refused"]:
         remarks.append(result["home_refused"])
+    elif beyond := robot.home.violated_limits():
+        listed = ", ".join(f"{each.name} = {each.value:.4g} ({each.lower:.4g} .. {each.upper:.4g})" for each in beyond)
+        remarks.append(
+            f"home breaks limits: {listed} [m, rad]: define a configuration 'home' within them "
+            "(SRDF or keyframe; pm3dof info --assemble finds some)"
+        )
     if robot.tool_frame is None:
         remarks.append("no tool frame: name it with --tool-frame NAME, or as tool_frame in a closures file")
     if not robot.actuated_joints:

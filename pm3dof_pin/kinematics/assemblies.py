@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +13,10 @@ import pinocchio as pin
 from pm3dof_pin.exceptions import ConvergenceError, PM3DofError, SingularConfigurationError
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.branches import Branches
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
+from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
+from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Vector
@@ -22,6 +26,7 @@ _STARTS = 24  # at each distance
 _TRIAL_STARTS = 6  # at each distance, of a trial
 _LISTED = 6  # open loops at most in a message
 _MAX_TRIED = 8  # candidates of a branch, until one is regular
+_WELL = 0.3  # of the best candidate's distance from singular configurations
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +36,9 @@ class AssembledHome:
     configuration: Configuration  #: the configuration
     distance: float  #: largest motion of a joint from the described home [rad, characteristic lengths]
     within_limits: bool  #: whether it breaks no limits
+    #: distance from singular configurations: the least measure of
+    #: :func:`~pm3dof_pin.kinematics.singularity.singularity_distances`, without a tool that of the loops
+    regularity: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +93,12 @@ def _trial(robot: PlacedMechanism, ends: list[Assembly]) -> ClosingTrial:
 
 
 def assembled_homes(robot: PlacedMechanism) -> list[AssembledHome]:
-    """Find closed regular configurations near the described home, the nearest on each branch found, nearest first.
+    """Find closed regular configurations near the described home, one on each branch found, nearest first.
 
-    Random starts up to 3 rad or characteristic lengths away are closed by the damped solver; those within all limits
-    are preferred. If none is within, starts within the limits of all joints follow, as for files whose joints have
-    ranges without zero and no keyframe. There may be further branches, farther away. Deterministic.
+    Of each branch it is the nearest that is at least a third as far from singular ones as the best found there. Random
+    starts up to 3 rad or characteristic lengths away are closed by the damped solver; those within all limits are
+    preferred. If none is within, starts within the limits of all joints follow, as for files whose joints have ranges
+    without zero and no keyframe. There may be further branches, farther away. Deterministic.
 
     Raises:
         ConvergenceError: no closed regular configuration was found; the message says which loops stay open.
@@ -100,26 +109,44 @@ def assembled_homes(robot: PlacedMechanism) -> list[AssembledHome]:
         inside = [_candidate(robot, described, end.configuration) for end in _ends_within(robot) if end.converged]
         found += [home for home in inside if home.within_limits]
     found.sort(key=lambda home: (not home.within_limits, home.distance))
-    branches: Branches | None = None
-    chosen: dict[int, AssembledHome] = {}
-    tried: dict[int, int] = {}
-    for home in found:
-        number = 0 if branches is None else branches.number(home.configuration.q)
-        if number in chosen or tried.get(number, 0) == _MAX_TRIED:
-            continue
-        with suppress(PM3DofError):
-            around = Branches(robot, home.configuration)
-            if around.start_is_home:
-                branches = branches or around
-                chosen[number] = home
-        if branches is not None:
-            tried[number] = tried.get(number, 0) + 1
-    if not chosen:
+    branches = next((around for home in found if (around := _regular(robot, home)) is not None), None)
+    if branches is None:
         nearest = min(ends, key=lambda end: end.residual)
         advice = "all of these are singular poses" if found else str(_trial(robot, ends))
         task = f"{robot.name}: closing the loops"
         raise ConvergenceError(task, nearest.residual, "m or rad", nearest.steps, advice)
-    return sorted(chosen.values(), key=lambda home: home.distance)
+    groups: dict[int, list[AssembledHome]] = {}
+    for home in found:
+        groups.setdefault(branches.number(home.configuration.q), []).append(home)
+    usual = instantaneous_mobility(generic_configuration(found[0].configuration))
+    chosen = (_nearest_regular(robot, group, usual) for group in groups.values())
+    return sorted((home for home in chosen if home is not None), key=lambda home: home.distance)
+
+
+def _nearest_regular(robot: PlacedMechanism, homes: list[AssembledHome], usual: Mobility) -> AssembledHome | None:
+    """Return the nearest of a branch's configurations, sorted, that is not much nearer to singular ones than the best.
+
+    One within the limits, if there is one. None if the first few are singular.
+    """
+    homes = [home for home in homes if home.within_limits == homes[0].within_limits]
+    measured = [replace(home, regularity=_regularity(home.configuration, usual)) for home in homes]
+    enough = _WELL * max(home.regularity for home in measured)
+    tried = [home for home in measured if home.regularity >= enough][:_MAX_TRIED]
+    return next((home for home in tried if _regular(robot, home) is not None), None)
+
+
+def _regularity(configuration: Configuration, usual: Mobility) -> float:
+    if configuration.mechanism.tool_frame is None:  # the loops' condition only
+        return DegreesOfFreedom(configuration).closures.rank.least(usual.constraint_rank.rank)
+    return min(entry.measure for entry in singularity_distances(configuration, generic=usual))
+
+
+def _regular(robot: PlacedMechanism, home: AssembledHome) -> Branches | None:
+    """Return the branches around a configuration, None if it is singular."""
+    with suppress(PM3DofError):
+        around = Branches(robot, home.configuration)
+        return around if around.start_is_home else None
+    return None
 
 
 def home_within_limits(robot: PlacedMechanism) -> Configuration | None:

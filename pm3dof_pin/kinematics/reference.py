@@ -93,7 +93,7 @@ class Reference:
         pose = pose_in_words(coordinates, values.round(6), ".4g")
         return (
             f"it lies beyond a {kind} singularity, met near {pose}, on another branch; a configuration 'home' of the "
-            "description on that branch, or a guess there, makes it reachable"
+            "description on that branch (pm3dof info --assemble), or a guess there, makes it reachable"
         )
 
     @cached_property

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pm3dof_pin.exceptions import ConvergenceError
@@ -58,3 +59,48 @@ def test_what_cannot_close_says_by_how_much(tmp_path: Path, run: Any) -> None:
     done = run("fk", "--robot", str(path), "--configuration", "home", "--tool-frame", "a2")
     assert done.returncode == 1
     assert "--assemble" in done.stderr
+
+
+LEG = (
+    '<body name="arm{0}" pos="{1} {2} 0"><joint name="p{0}" axis="0 0 1"/><geom size=".01"/><body name="rod{0}">'
+    '<joint name="d{0}" type="slide" axis="1 0 0" range="0.1 0.6"/><geom size=".01"/><site name="e{0}"/></body></body>'
+)
+PLATE = (
+    '<body name="plate" pos="0.28 0.2 0"><joint name="x" type="slide" axis="1 0 0"/>'
+    '<joint name="y" type="slide" axis="0 1 0"/><joint name="phi" axis="0 0 1"/><geom size="0.05"/><site name="tool"/>'
+    '<site name="c1" pos="-0.06 -0.04 0"/><site name="c2" pos="0.07 -0.03 0"/><site name="c3" pos="0.01 0.08 0"/>'
+    "</body>"
+)
+BASE, PLATFORM = np.array([[0, 0], [0.6, 0.05], [0.25, 0.55]]), np.array([[-0.06, -0.04], [0.07, -0.03], [0.01, 0.08]])
+
+
+def test_homes_on_both_sides_of_a_three_rpr_are_far_from_its_singular_poses(
+    tmp_path: Path, answer: Any, run: Any
+) -> None:
+    """The sides are told apart by the sign of det J, J = d(lengths) / d(x, y, phi), here from the drawing."""
+    legs = "".join(LEG.format(k + 1, *point) for k, point in enumerate(BASE))
+    ties = "".join(f'<connect site1="e{k}" site2="c{k}"/>' for k in (1, 2, 3))
+    drives = "".join(f'<motor joint="d{k}"/>' for k in (1, 2, 3))
+    path = tmp_path / "rpr.xml"
+    path.write_text(
+        f'<mujoco model="rpr"><compiler angle="radian"/><worldbody>{legs}{PLATE}</worldbody><equality>{ties}</equality>'
+        f"<actuator>{drives}</actuator></mujoco>"
+    )
+    assert "home breaks limits: d2 = -0.3758 (0.1 .. 0.6)" in run("info", str(path)).stdout
+    homes, determinants = assembled_homes(Robot.load(path)), []
+    for home in homes:
+        x, y, phi = (home.configuration.joint_position(name) for name in ("x", "y", "phi"))
+        turned = PLATFORM @ np.array([[np.cos(phi), np.sin(phi)], [-np.sin(phi), np.cos(phi)]])
+        struts = np.array([0.28 + x, 0.2 + y]) + turned - BASE
+        lengths = np.linalg.norm(struts, axis=1)
+        assert home.configuration.commands == pytest.approx(lengths, abs=1e-9)
+        moments = turned[:, 0] * struts[:, 1] - turned[:, 1] * struts[:, 0]
+        determinants.append(np.linalg.det(np.column_stack([struts, moments]) / lengths[:, None]))
+        assert home.within_limits
+    # random poses of the platform over the middle of the base have a median |det J| of 0.09
+    assert len(homes) == 2
+    assert determinants[0] * determinants[1] < 0.0
+    assert min(map(abs, determinants)) > 0.02
+    answer("info", str(path), "--assemble", "--branch", "2")
+    chosen = homes[1].configuration.commands
+    assert answer("ik", "--robot", str(path), *map(str, chosen))["within_limits"] is True
