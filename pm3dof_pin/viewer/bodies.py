@@ -18,6 +18,7 @@ from pm3dof_pin.description.mesh_files import find_mesh, read_meshes
 from pm3dof_pin.description.reading import read_description
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Array
@@ -75,7 +76,9 @@ class Bodies(tuple[DrawnBody, ...]):
     """All drawn bodies of a mechanism."""
 
     @classmethod
-    def from_mechanism(cls, mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | None = None) -> Bodies:
+    def from_mechanism(
+        cls, mechanism: PlacedMechanism, visuals: pin.GeometryModel | Path | str | None = None
+    ) -> Bodies:
         """Return the drawn bodies of a mechanism.
 
         By default the visuals of the file it was read from; a stick figure if these are missing or lack a mesh.
@@ -264,10 +267,10 @@ def _moved(points: Array, placement: Array) -> Array:
     return moved
 
 
-def _stick_figure(mechanism: Mechanism) -> tuple[DrawnBody, ...]:
+def _stick_figure(mechanism: PlacedMechanism) -> tuple[DrawnBody, ...]:
     """Balls at the joints, and rods between them and to the frames of closures and tool, in the colours of roles.
 
-    The base is an outline around the points where it carries something.
+    The base is an outline around the points where it carries something. Slides are struts of a barrel and a rod.
     """
     model = mechanism.model
     size = mechanism.characteristic_length
@@ -281,13 +284,13 @@ def _stick_figure(mechanism: Mechanism) -> tuple[DrawnBody, ...]:
         bodies[joint].parts.append(_ball("joint", np.zeros(3), radius * size, colour))
     frames = [name for loop in mechanism.closures for name in (loop.frame_a, loop.frame_b)]
     frames += [mechanism.tool_frame] if mechanism.tool_frame else []
-    inner = {loop.frame_b for loop in mechanism.closures}
+    hidden = {loop.frame_b for loop in mechanism.closures}
     for name in dict.fromkeys(frames):
         frame = model.frames[mechanism.frame_id(name)]
         point = np.array(frame.placement.translation)
         ends[frame.parentJoint].append((name, point))
         own = colours.ROLES["tool" if name == mechanism.tool_frame else role_of(mechanism, frame.parentJoint)]
-        radius = 0.036 if name in inner else 0.04  # of two at one place only one is seen
+        radius = 0.036 if name in hidden else 0.04  # of two at one place only one is seen
         bodies[frame.parentJoint].parts.append(_ball(name, point, radius * size, own))
     for body, points in zip(bodies, ends, strict=True):
         own = colours.ROLES[role_of(mechanism, body.joint)]
@@ -296,7 +299,35 @@ def _stick_figure(mechanism: Mechanism) -> tuple[DrawnBody, ...]:
             starts, points = _outline(points)
         for start, (name, end) in zip(starts, points, strict=True):
             body.parts.extend(_rod(f"to_{name}", start, end, size, own))
+    for joint in range(1, model.njoints):
+        if (travel := _travel(mechanism, joint)) is not None:
+            place, (direction, length) = model.jointPlacements[joint], travel
+            parent, start = bodies[model.parents[joint]], np.array(place.translation)
+            along, name = np.array(place.rotation) @ direction * length, model.names[joint]
+            outer, inner = (colours.ROLES[role_of(mechanism, body.joint)] for body in (parent, bodies[joint]))
+            parent.parts.extend(_rod(f"barrel_of_{name}", start, start + along, 1.6 * size, outer))
+            bodies[joint].parts.extend(_rod("rod", np.zeros(3), -direction * length, size, inner))
     return tuple(body for body in bodies if body.parts)
+
+
+def _travel(mechanism: PlacedMechanism, joint: int) -> tuple[Array, float] | None:
+    """Return the direction of a slide that is extended at home, and the length of its barrel and of its rod [m].
+
+    They overlap over its whole range where one is given that permits this, and otherwise up to 1.2 times its length at
+    home. None for other joints, and where a link of the base slides passively: such slides only say that it may move.
+    """
+    model, name = mechanism.model, mechanism.model.names[joint]
+    q = model.joints[joint].idx_q
+    if not model.joints[joint].shortname().startswith("JointModelP") or model.joints[joint].nv != 1:
+        return None
+    if not model.parents[joint] and name not in mechanism.actuated_joints:
+        return None
+    at_home = float(mechanism.home.q[q])
+    if abs(at_home) < 0.1 * mechanism.characteristic_length:
+        return None
+    direction = np.sign(at_home) * mechanism.joint_axis(name)
+    farthest = abs(float((mechanism.upper_limits if at_home > 0.0 else mechanism.lower_limits)[q]))
+    return direction, 0.5 * farthest if abs(at_home) <= farthest <= 2.0 * abs(at_home) else 0.6 * abs(at_home)
 
 
 def _floats(model: pin.Model, joint: int) -> bool:

@@ -33,7 +33,7 @@ from pm3dof_pin.viewer.scene import Json, column_major
 _SAME = 1e-6  # largest relative difference of items that the page may update
 _MARGIN = 0.15  # of a slider beyond its range, relative to the range, so that limits are visible
 _MAX_MARGIN = math.radians(15.0)  # of an angle
-LONG_READING = 84
+LONG_READING = 108
 """Characters from which numbers of a set are not repeated beside their sliders."""
 
 _STEPS = 1000  # least number of steps of a slider
@@ -245,10 +245,10 @@ def sets_of(robot: Robot) -> list[Json]:
 
 
 def reading(number: Json, value: float) -> str:
-    """Format a number of a set like the page: "theta_x 10.0°", nonbreaking, with a true minus sign, none on zero."""
+    """Format a number of a set like the page: "tilt about x 10.0°", nonbreaking, no minus on zero."""
     slider = number["slider"]
     text = f"{value * slider['factor']:z.{slider['digits']}f}".replace("-", "\u2212")
-    return f"{number['name']}\u00a0{text}{slider['unit']}"
+    return f"{number['label']}\u00a0{text}{slider['unit']}"
 
 
 def _numbers(robot: Robot, coordinates: Sequence[Coordinate], values: Vector) -> Json:

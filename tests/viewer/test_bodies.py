@@ -126,6 +126,37 @@ def test_shapes_of_mjcf(tmp_path: Path) -> None:
     np.testing.assert_allclose(arm.parts[-1].placement[:3, :3], np.diag([0.1, 0.2, 0.3]), atol=1e-12)
 
 
+STRUT = """<robot name="strut"><link name="base"/><link name="swing"/><link name="rod"/>
+  <joint name="hinge" type="revolute"><parent link="base"/><child link="swing"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="slide" type="prismatic"><parent link="swing"/><child link="rod"/><axis xyz="0 0 1"/>
+    <limit lower="{0}" upper="{1}" effort="1" velocity="1"/></joint>
+</robot>
+"""
+
+
+@pytest.mark.parametrize(("lower", "upper", "length"), [(0.3, 0.5, 0.25), (-0.5, -0.3, 0.25), (0.1, 0.9, 0.45)])
+def test_a_strut_without_visuals_reaches_from_its_hinge_to_its_end(
+    write_robot: Write, lower: float, upper: float, length: float
+) -> None:
+    """Barrel and rod, each half as long as the strut at its longest, so that they always meet.
+
+    An open tree whose range excludes zero is at the middle of that at home.
+    """
+    robot = Robot.load(write_robot(STRUT.format(lower, upper)))
+    bodies = {body.name: body for body in Bodies.from_mechanism(robot)}
+    parts = [part for name in ("hinge", "slide") for part in bodies[name].parts if "Cylinder" in str(part.scene_object)]
+    assert [part.scene_object["geometries"][0]["height"] for part in parts] == pytest.approx([length] * 2)
+    placements = Bodies.from_mechanism(robot).placements(robot.configuration([0.0, lower]))
+    barrel, rod = (
+        (placements[bodies[name].path] @ np.column_stack([part.corners, np.ones(len(part.corners))]).T)[2] - 1.0
+        for name, part in zip(("hinge", "slide"), parts, strict=True)
+    )
+    side = np.sign(lower)
+    assert sorted([barrel.min(), barrel.max()], key=abs) == pytest.approx([0.0, side * length], abs=1e-12)
+    assert sorted([rod.min(), rod.max()]) == pytest.approx(sorted([lower, lower - side * length]), abs=1e-12)
+
+
 def test_a_missing_mesh_is_named(write_robot: Write, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Downloaded files often lack their meshes: a stick figure, and a warning that says why."""
     urdf = write_robot(URDF.format(mesh=MESH.format(file=tmp_path / "gone.stl")))

@@ -197,9 +197,9 @@ def test_home_button(shown: Any, mechanism: Robot) -> None:
     shown.browser.settle()
     assert_machine(shown, mechanism.home)
     assert [shown.slider("theta_x"), shown.slider("theta_y")] == [0, 0]
-    assert shown.note().startswith("theta_x\u00a00.0°, theta_y\u00a00.0°, z_e\u00a00.493")
+    assert shown.note().startswith("tilt about x\u00a00.0°, tilt about y\u00a00.0°, z_e\u00a00.493")
     shown.ask("pm3dof.slide(0, -1e-9)")
-    assert shown.note().startswith("theta_x\u00a00.0°, ")  # zero has no sign
+    assert shown.note().startswith("tilt about x\u00a00.0°, ")  # zero has no sign
     assert shown.warnings() == []
 
 

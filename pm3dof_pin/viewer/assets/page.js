@@ -292,7 +292,7 @@ const pm3dof = hasWebGL && (() => {
 
   // Same as `reading` in pm3dof_pin/viewer/sliders.py.
   const written = ({ slider }, value) => fixed(value * slider.factor, slider.digits);
-  const reading = (number, value) => `${number.name}\u00a0${written(number, value).replace("-", "\u2212")}${number.slider.unit}`;
+  const reading = (number, value) => `${number.label}\u00a0${written(number, value).replace("-", "\u2212")}${number.slider.unit}`;
 
   // A row for each number of the active set, and a tab for each set.
   function showSliders() {
