@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import require_kind
+from pm3dof_pin.calibration.assembled import assembled_rows
 from pm3dof_pin.calibration.compensation import Compensated, Conditions
 from pm3dof_pin.calibration.expectation import Expectation
 from pm3dof_pin.calibration.fit import Fit, Method, fit
@@ -32,6 +33,7 @@ from pm3dof_pin.exceptions import (
     PM3DofError,
     SingularConfigurationError,
     UnreachablePoseError,
+    lines_in_words,
 )
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -127,7 +129,8 @@ def calibrate(
     """Calibrate a machine from measurements, judge the result, and refuse one that would be wrong for the machine.
 
     Parameters are identified and a correction learned (:func:`~pm3dof_pin.calibration.fit.fit`), then evaluated on
-    measured poses held out in turn. Error parameters with which the loops cannot close are left out. If no error file
+    measured poses held out in turn. Error parameters with which the loops cannot close are left out, and, where the fit
+    fails, rows at which a machine out of tolerance cannot be assembled. If no error file
     says how well the drives' zeros are known, they are taken as unknown where the result would be refused otherwise, or
     where that explains residuals beyond the noise.
 
@@ -188,7 +191,16 @@ def calibrate(
     try:
         fitted, held_out, against = _judged(fit(seen, errors, options, quiet=True))
     except _FAILURES as error:
-        failure = error
+        failure, sure = error, seen[assembled_rows(seen, errors)]
+        if len(sure) < len(seen):
+            with contextlib.suppress(*_FAILURES):
+                fitted, held_out, against = _judged(fit(sure, errors, options, quiet=True))
+                lost = [line for line in seen.lines if line not in sure.lines]
+                warnings.append(
+                    f"{lines_in_words(lost)}left out: so near to a singular pose that machines out of tolerance "
+                    "cannot be assembled there"
+                )
+                seen, failure = sure, None
     if undeclared and (failure is not None or against or not fitted.scatters):
         # nobody said that the drives are homed to absolute marks
         with contextlib.suppress(*_FAILURES):

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pm3dof_pin.calibration.assembled import OUT_OF_TOLERANCE, assembled
 from pm3dof_pin.calibration.fit import MIN_POSES, Method
 from pm3dof_pin.calibration.identifiability import minimum_poses
 from pm3dof_pin.calibration.linearisation import UNKNOWN
@@ -39,16 +40,14 @@ from pm3dof_pin.measuring.instruments.table import placed_instrument
 from pm3dof_pin.measuring.observation import planned_measurements, touching_poses
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.tolerances import SAME
-from pm3dof_pin.typing import Array, Indices, Mask
+from pm3dof_pin.typing import Array, Indices
 
 logger = logging.getLogger(__name__)
 
 SINGULAR = 3.0
 """Times the median sensitivity to errors of the parts: beyond it a candidate is too near to a singular pose."""
-OUT_OF_TOLERANCE = 3.0
-"""Errors of the machines that must be assembled at every planned pose, in tolerances."""
 MACHINES = 30
-"""Number of these machines. Their errors are made half as large again, so that many more machines can be assembled."""
+"""Number of machines out of tolerance that must be assembled at every planned pose."""
 
 DEFAULT_POSES = 9
 TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)
@@ -63,7 +62,6 @@ MANY_PARAMETERS = 300
 
 _STARTS, _FEWER_STARTS = 10, 3  # of exchanging poses, of robots of few parameters and of many
 _TESTS = 300
-_BEYOND = 1.5  # see MACHINES
 _ROUNDS = 8  # of replacing poses at which some machine cannot be assembled
 _USUAL = 1.2  # times the median sensitivity: poses below it are never left out for being as sensitive as another
 _FEWEST = 0.3  # fraction of the candidates that must remain
@@ -235,7 +233,7 @@ def plan_measurements(
         count = max(tried, default=poses or DEFAULT_POSES)
         starts = _FEWER_STARTS if many else _STARTS
         plan = problem.plan(count, chosen, np.random.default_rng(seed), restarts=starts)
-        open_ = ~_assembled(errors, plan.poses, machines, seed)
+        open_ = ~assembled(errors, plan.poses, machines, seed)
         if not open_.any():
             break
         # where one machine cannot be assembled, no other pose as sensitive as that is taken either
@@ -294,15 +292,6 @@ def _require_places(problem: PlanningProblem, plan: Plan) -> None:
         why = f"stays on a line or at one place, which does not tell {some}"
         raise InvalidValueError("the point seen", problem=why, expected="one beside it, that turns with the tool")
     raise InvalidValueError("poses", problem=f"are too few to tell {some}", expected=f"more than {len(plan.indices)}")
-
-
-def _assembled(errors: GeometricErrors, poses: Poses, machines: int, seed: int) -> Mask:
-    """Tell at which poses every machine can be assembled, shape=(n,)."""
-    generator, found = np.random.default_rng([seed, 2]), np.ones(len(poses), dtype=bool)
-    for _ in range(machines):
-        crooked = errors.apply(_BEYOND * OUT_OF_TOLERANCE * errors.sample(generator))
-        found &= crooked.forward(poses.commands, guess=poses.q, on_failure="nan").solved
-    return found
 
 
 def _rehearsed(

@@ -66,11 +66,12 @@ def measure(
     generator = np.random.default_rng(seed)
     sample = reachable_poses(errors.robot, poses or _POSES, generator)
     commands, given = (sample.commands, None) if plan is None else read_plan(plan, errors.robot)
+    nominal = sample if plan is None else errors.robot.forward(commands)
     fitting = closing_errors(errors, sample[:20], quiet=True)
     truth = World.random(world, fitting, np.random.default_rng(machine)).loaded(load, wrench or (0.0,) * 6, large=large)
     if only is not None:
         truth = truth.only(only)
-    instrument = seen.placed(errors.robot.forward(commands))
+    instrument = seen.placed(nominal)
     before = generator.bit_generator.state
     try:
         measurements = truth.measure(commands, generator, instrument, given)

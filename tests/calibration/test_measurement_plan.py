@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.measurement_plan import OUT_OF_TOLERANCE, plan_measurements
+from pm3dof_pin.calibration.assembled import OUT_OF_TOLERANCE
+from pm3dof_pin.calibration.measurement_plan import plan_measurements
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import re
+import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import pm3dof_pin as pm
-from pm3dof_pin.calibration.measurement_plan import OUT_OF_TOLERANCE, plan_measurements
+from pm3dof_pin.calibration.assembled import OUT_OF_TOLERANCE
+from pm3dof_pin.calibration.measurement_plan import plan_measurements
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.errors.sensitivity import closable
 
+MACHINES = Path(__file__).parents[1] / "machines"
 SCRIPT = Path(__file__).parents[2] / "scripts" / "studies" / "small_robots.py"
 
 
@@ -45,3 +52,18 @@ def test_plan_measure_calibrate(robots: dict[str, Path], name: str) -> None:
     calibration = pm.calibrate(pm.Measurements.from_poses(poses.commands, noisy), everything, "lm")  # not refused
     model = calibration.compensation.model.forward(poses.commands, guess=poses.q).transforms
     assert np.median(tip_error(pose_difference(reached, model))) < 5e-5  # of 300 to 900 µm
+
+
+def test_a_machine_with_too_many_drives_is_measured_and_calibrated(tmp_path: Path, run: Callable[..., Any]) -> None:
+    """Its drives contradict each other; near a singular pose no least squares meets them, and rows there are named."""
+    robot, said = str(shutil.copytree(MACHINES / "four_rrr", tmp_path / "four_rrr")), ""
+    for machine in ("1", "3"):
+        rows, out = str(tmp_path / f"{machine}.csv"), str(tmp_path / machine)
+        assert run("measure", "--robot", robot, "--poses", "40", "--machine", machine, "--out", rows).returncode == 0
+        done = run("calibrate", rows, "--robot", robot, "--method", "lm", "--out", out, "--json")
+        assert done.returncode == 0, done.stderr
+        errors = json.loads(done.stdout)["held_out"]
+        assert errors["tip_error_after_m"]["mean"] < 0.5 * errors["tip_error_before_m"]["mean"]
+        said += done.stderr
+    (lines,) = re.findall(r"lines ([\d, ]+): left out: so near to a singular pose", said)
+    assert 1 <= len(lines.split(", ")) <= 4

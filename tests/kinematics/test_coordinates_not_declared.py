@@ -60,6 +60,13 @@ def test_commands_give_the_pose_back_where_three_of_the_drives_are_singular(four
     np.testing.assert_allclose(found.coordinates, values[poses.solved], atol=1e-7)
 
 
+def test_far_from_home_hardly_any_commands_lead_to_another_pose(four_rrr: Robot) -> None:
+    """Where two poses have nearly the same commands, the one that meets them is found all over the reach."""
+    poses = reachable_poses(four_rrr, 300, np.random.default_rng(0))
+    found = four_rrr.forward(poses.commands, on_failure="nan")
+    assert (np.abs(found.coordinates - poses.coordinates).max(axis=1) < 1e-6).mean() > 0.97
+
+
 def test_commands_that_differ_slightly_are_met_by_least_squares(four_rrr: Robot) -> None:
     """At the least squares, what is left is orthogonal to all motions: seven poses beside do not come nearer."""
     exact = four_rrr.solve([0.03, -0.02, 0.1])
