@@ -54,6 +54,6 @@ def test_table_and_exponents() -> None:
 
 def test_commands_of_many_drives_out_of_reach_are_told(tmp_path: Path) -> None:
     """No lattice is laid over twelve drives, whose points would not fit into memory."""
-    robot = pm.load(FAMILIES["four_bars"][0](12).write(tmp_path / "robot"))
-    with pytest.raises(UnreachablePoseError, match="four_bars12"):
-        robot.forward([[2.5] * 12])
+    robot = pm.load(FAMILIES["stacked"][0](2).write(tmp_path / "robot"))
+    with pytest.raises(UnreachablePoseError, match="stacked2"):
+        robot.forward([[0.5, *[0.0] * 11]])  # one strut 0.5 m longer than five of 0.3 m
