@@ -191,7 +191,8 @@ def calibrate(
     try:
         fitted, held_out, against = _judged(fit(seen, errors, options, quiet=True))
     except _FAILURES as error:
-        failure, sure = error, seen[assembled_rows(seen, errors)]
+        failure = error
+        sure = seen if isinstance(error, InvalidValueError) else seen[assembled_rows(seen, errors)]
         if len(sure) < len(seen):
             with contextlib.suppress(*_FAILURES):
                 fitted, held_out, against = _judged(fit(sure, errors, options, quiet=True))

@@ -168,7 +168,7 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
         done.append(chosen)
         places += kept
         active.remove(kept[0])
-        changed = [c for c in touched if c in sizes]
+        changed = sorted(touched & sizes.keys())
     n = system.shape[1]
     return Elimination(
         tuple(done),

@@ -33,7 +33,7 @@ from pm3dof_pin.viewer.scene import Json, column_major
 _SAME = 1e-6  # largest relative difference of items that the page may update
 _MARGIN = 0.15  # of a slider beyond its range, relative to the range, so that limits are visible
 _MAX_MARGIN = math.radians(15.0)  # of an angle
-LONG_READING = 108
+LONG_READING = 84
 """Characters from which numbers of a set are not repeated beside their sliders."""
 
 _STEPS = 1000  # least number of steps of a slider
