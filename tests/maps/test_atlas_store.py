@@ -239,6 +239,7 @@ def test_two_at_once_and_then_killed(robot: Robot, tmp_path: Path, caplog: pytes
     assert {entry.name for entry in tmp_path.iterdir()} == {"atlas.zarr", "whole"}
 
 
+@pytest.mark.filterwarnings("ignore:os.fork")  # of JAX, in a process that has imported it before
 def test_a_real_limit_on_the_size_of_files(robot: Robot, tmp_path: Path) -> None:
     """A disk quota: the NetCDF library cannot continue, and the command ends with one line."""
     path = tmp_path / "atlas.nc"
