@@ -192,16 +192,15 @@ def calibrate(
         fitted, held_out, against = _judged(fit(seen, errors, options, quiet=True))
     except _FAILURES as error:
         failure = error
-        sure = seen if isinstance(error, InvalidValueError) else seen[assembled_rows(seen, errors)]
-        if len(sure) < len(seen):
+        if not isinstance(error, InvalidValueError) and not (kept := assembled_rows(seen, errors)).all():
             with contextlib.suppress(*_FAILURES):
-                fitted, held_out, against = _judged(fit(sure, errors, options, quiet=True))
-                lost = [line for line in seen.lines if line not in sure.lines]
+                fitted, held_out, against = _judged(fit(seen[kept], errors, options, quiet=True))
+                lost = [line for line, is_kept in zip(seen.lines, kept, strict=True) if not is_kept]
                 warnings.append(
                     f"{lines_in_words(lost)}left out: so near to a singular pose that machines out of tolerance "
                     "cannot be assembled there"
                 )
-                seen, failure = sure, None
+                seen, failure = seen[kept], None
     if undeclared and (failure is not None or against or not fitted.scatters):
         # nobody said that the drives are homed to absolute marks
         with contextlib.suppress(*_FAILURES):

@@ -271,14 +271,8 @@ def _assemble(robot: Robot, files: RobotFiles, branch: int | None, as_json: bool
         ]
         for number, home in enumerate(homes, start=1)
     ]
-    header = [
-        "branch",
-        "from the described home [rad, sizes]",
-        "from singular ones",
-        "within limits",
-        "commands [m, rad]",
-    ]
-    lines = table_lines(header, rows)
+    distances = ("from the described home [rad, sizes]", "from singular ones")
+    lines = table_lines(["branch", *distances, "within limits", "commands [m, rad]"], rows)
     within = [number for number, home in enumerate(homes, start=1) if home.within_limits]
     if branch is None and len(within or homes) == 1:
         branch = (within or [1])[0]

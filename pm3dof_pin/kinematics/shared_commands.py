@@ -25,7 +25,8 @@ AGREEING = 1e-6
 
 _CONTRADICTION = 2e-3  # greatest one that errors of a machine explain, of a robot as described
 _OF_ERRORS = 0.05  # the same of a machine with errors
-_VALLEY = (0.1, 0.2, 0.4, 0.8, 1.2, 0.3, 0.6, 1.6)  # ways to other starts, where commands change least
+# ways to other starts, where commands change least
+_VALLEY = (0.1, -0.1, 0.2, -0.2, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2, 0.3, -0.3, 0.6, -0.6, 1.6, -1.6)
 _STEPS = 30
 _SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # factors tried in turn on a step that does not reduce the error
 _FARTHEST = 0.3  # of a coordinate in one step [rad, characteristic lengths]
@@ -83,7 +84,7 @@ class SharedCommands:
             own = rows[~(off[rows] <= enough) & np.isfinite(near[rows, 0])]
             self._improve(answer, off, own, commands, near[own], keep_branch=keep_branch)
         # near a singular pose of the drives, two poses have nearly the same commands
-        for length in (side * way for way in _VALLEY for side in (1.0, -1.0)) if described and not is_guessed else ():
+        for length in _VALLEY if described and not is_guessed else ():
             own = rows[(off[rows] > enough) & np.isfinite(off[rows])]
             if own.size:
                 weakest = np.linalg.svd(self._by_coordinates(answer[own]))[2][:, -1] * self._units

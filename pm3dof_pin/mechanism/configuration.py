@@ -87,8 +87,7 @@ class Configuration:
         commands = self._mechanism.commands
         if not commands:
             return f"q = {listed(self._q)}"
-        values = (c.scale * self.joint_position(c.joint) + c.offset for c in commands)
-        return pose_in_words(commands, values, ".4g")
+        return pose_in_words(commands, self.commands, ".4g")
 
     @property
     def mechanism(self) -> Mechanism:
