@@ -136,6 +136,18 @@ def answer() -> Callable[..., dict[str, Any]]:
     return read
 
 
+@pytest.fixture(scope="session")
+def calibration_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a calibration of a simulated tripod; tests leave it as it is."""
+    import pm3dof_pin as pm
+
+    errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
+    machine = pm.SimulatedMachine.random(errors, generator, everything=False)
+    commands = pm.reachable_poses(errors.robot, 40, generator).commands
+    rows = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+    return pm.calibrate(rows, errors, "lm").save(tmp_path_factory.mktemp("signed") / "calibration")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _coarse_pictures() -> Iterator[None]:
     """Render at lower resolution, in half the time; tests/figures renders at full resolution."""

@@ -176,16 +176,7 @@ ABOUT = {
 }
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
-    machine = pm.SimulatedMachine.random(errors, generator, everything=False)
-    commands = pm.reachable_poses(errors.robot, 40, generator).commands
-    rows = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
-    return pm.calibrate(rows, errors, "lm").save(tmp_path_factory.mktemp("signed") / "calibration")
-
-
-def test_a_report_to_sign(folder: Path, tmp_path: Path, run: Callable[..., Any]) -> None:
+def test_a_report_to_sign(calibration_folder: Path, tmp_path: Path, run: Callable[..., Any]) -> None:
     """Decisions by the rule of ISO 14253-1, worked out here; the JSON is as the schema says."""
     about, results = tmp_path / "about.yaml", tmp_path / "positioning.json"
     values, spread = {"A": 10e-6, "B": 5e-6, "R": 9e-6}, {"A": 2e-6, "B": 2e-6, "R": 2e-6}
@@ -194,7 +185,15 @@ def test_a_report_to_sign(folder: Path, tmp_path: Path, run: Callable[..., Any])
     written = ", ".join(f"{symbol}: {1e6 * limit:.0f}e-6" for symbol, limit in limits.items())  # a word in YAML 1.1
     about.write_text(yaml.safe_dump(ABOUT) + f"limits_m: {{{written}}}\n")
     done = run(
-        "certificate", str(folder), "--about", "about.yaml", "--test", "positioning.json", "--out", "r", cwd=tmp_path
+        "certificate",
+        str(calibration_folder),
+        "--about",
+        "about.yaml",
+        "--test",
+        "positioning.json",
+        "--out",
+        "r",
+        cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
     data = json.loads((tmp_path / "r" / "certificate.json").read_text())
@@ -205,7 +204,7 @@ def test_a_report_to_sign(folder: Path, tmp_path: Path, run: Callable[..., Any])
     assert decisions["positioning.B"] == "undecided"
     assert decisions["positioning.R"] == "does not conform"
     assert decisions["tip.bound_95"] == "no limit"
-    summary = yaml.safe_load((folder / "calibration.yaml").read_text())
+    summary = yaml.safe_load((calibration_folder / "calibration.yaml").read_text())
     rms = next(each for each in data["statements"] if each["symbol"] == "tip.rms")
     low, high = summary["tip_error_rms_95_percent_interval_m"]
     assert rms["value_m"] - rms["expanded_uncertainty_k2_m"] == pytest.approx(low)
@@ -230,19 +229,21 @@ def test_a_report_to_sign(folder: Path, tmp_path: Path, run: Callable[..., Any])
         ({"procedure": " "}, "expected words"),
     ],
 )
-def test_a_wrong_description_is_refused(change: dict[str, Any], says: str, folder: Path, tmp_path: Path) -> None:
+def test_a_wrong_description_is_refused(
+    change: dict[str, Any], says: str, calibration_folder: Path, tmp_path: Path
+) -> None:
     about = tmp_path / "about.yaml"
     about.write_text(yaml.safe_dump({key: value for key, value in (ABOUT | change).items() if value is not None}))
     with pytest.raises(DescriptionError, match=says):
-        Certificate.make(folder, about)
+        Certificate.make(calibration_folder, about)
 
 
-def test_a_changed_summary_is_not_signed(folder: Path, tmp_path: Path) -> None:
-    about, summary = tmp_path / "about.yaml", folder / "calibration.yaml"
+def test_a_changed_summary_is_not_signed(calibration_folder: Path, tmp_path: Path) -> None:
+    about, summary = tmp_path / "about.yaml", calibration_folder / "calibration.yaml"
     about.write_text(yaml.safe_dump(ABOUT))
     text = summary.read_text()
     summary.write_text(text.replace("method: lm", "method: gp"))
     with pytest.raises(DescriptionError, match="was changed since the calibration was written"):
-        Certificate.make(folder, about)
+        Certificate.make(calibration_folder, about)
     summary.write_text(text)
-    assert Certificate.make(folder, about).data["versions"]["pin"]
+    assert Certificate.make(calibration_folder, about).data["versions"]["pin"]

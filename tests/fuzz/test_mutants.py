@@ -8,7 +8,11 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+
+import pm3dof_pin as pm
+from pm3dof_pin.calibration.folder import read_summary
 
 SCRIPT = Path(__file__).with_name("mutants.py")
 OF_SAMPLES = ("export", "columns", "join", "ballbar", "rows", "klipper", "gcode", "acceptance", "history")
@@ -50,6 +54,28 @@ def test_samples(kind: str, mutants: ModuleType, samples: Path, tmp_path: Path) 
     for seed in range(1000, 1008):
         said = mutants.outcome(input_of, seed, tmp_path / str(seed))
         assert said in ("refused", "accepted"), f"{kind} {seed}: {said}"
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_damaged_calibration_is_refused_or_gives_the_same_numbers(
+    mutants: ModuleType, calibration_folder: Path, tmp_path: Path
+) -> None:
+    expected = _numbers(calibration_folder)
+
+    def read(folder: Path) -> None:
+        assert _numbers(folder) == expected
+
+    damaged = mutants.Input([calibration_folder], "**/*", read)
+    said = [mutants.outcome(damaged, seed, tmp_path / str(seed)) for seed in range(1000, 1040)]
+    assert set(said) <= {"refused", "accepted"}, said
+    assert said.count("refused") > 0.8 * len(said)
+
+
+def _numbers(folder: Path) -> tuple[bytes, str]:
+    """Commands of three poses, and the summary."""
+    compensation, summary = pm.read_compensation(folder), read_summary(folder)
+    poses = pm.reachable_poses(compensation.errors.robot, 3, np.random.default_rng(0))
+    return compensation.compensate(poses).commands.tobytes(), str(summary)
 
 
 def test_the_script_runs_them_in_processes_of_their_own() -> None:
