@@ -15,7 +15,7 @@ import numpy as np
 
 from pm3dof_pin.calibration.caution import Gain
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.identification import PRIOR, Identification, identify
+from pm3dof_pin.calibration.identification import ROUGHLY, Identification, identify
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_model
 from pm3dof_pin.calibration.linearisation import Loss
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
@@ -141,9 +141,10 @@ def fit(
         SingularConfigurationError: at some command the tool can move with all drives locked.
     """
     options = options or Options()
-    prior = PRIOR if options.prior is None else options.prior
-    identification = identify(measurements, errors, prior=prior, loss=options.loss)
-    if options.prior is None:
+    if options.prior is not None:
+        identification = identify(measurements, errors, prior=options.prior, loss=options.loss)
+    else:
+        identification = identify(measurements, errors, loss=options.loss, precision=ROUGHLY)
         prior, error = identification.likely_prior()
         shown, start = identification.measurements, identification
         identification = identify(shown, errors, prior=prior, prior_error=error, loss=options.loss, start=start)

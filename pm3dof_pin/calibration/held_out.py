@@ -10,7 +10,7 @@ import numpy as np
 
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.fit import MIN_POSES, Fit, compensation_from
-from pm3dof_pin.calibration.identification import Identification, identify
+from pm3dof_pin.calibration.identification import ROUGHLY, Identification, identify
 from pm3dof_pin.calibration.mistakes import millimetres
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
 from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
@@ -98,6 +98,7 @@ class HeldOut:
                 loss=options.loss,
                 nuisances=whole.nuisances,
                 start=whole,
+                precision=ROUGHLY,
             )
             compensation = compensation_from(found.settled, errors, options, found if options.identifies else None)
             part = measurements[hidden]

@@ -10,6 +10,7 @@ minimum found, so that a few outlying rows cannot make them alternate between tw
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,11 +35,16 @@ PRIOR_DOMINATED = 0.9
 """A parameter whose standard deviation stays above this fraction of the prior's is dominated by the prior."""
 
 _MAX_STEPS = 50
+ROUGHLY = 1e-3
+"""A precision that no statistic of the residuals notices."""
+
 _SMALL_STEP = 1e-6  # change of the residuals by a step, in units of their sigma
 _STUCK = 1e-4  # the same, for a step that only rounding keeps from shrinking further
 _SLOW = 1e-2  # the same after many steps, still small against the noise
 _SLOWLY = 0.1  # of the step before: not quadratic convergence, as where derivatives are approximate
 _FARTHEST = 10.0  # times the last change of a solution, to extrapolate
+_SECANTS = 4  # of so many steps
+_INDEPENDENT = 1e-2  # relative size of changes that differ from each other by more than nonlinearity
 _FEW = 3  # steps, in which quadratic convergence is nearly at its end
 _NEAR = 1.0  # the same, below which the minimum is kept
 _SEARCHING = 10  # many steps, after which the minimum is kept however long they are: with few rows, noise has two fits
@@ -293,6 +299,7 @@ def identify(
     loss: Loss = "tukey",
     nuisances: Nuisances | None = None,
     start: Identification | None = None,
+    precision: float = _SMALL_STEP,
 ) -> Identification:
     """Identify geometric parameters, and the stiffness of springs from measurements under known wrenches.
 
@@ -305,6 +312,7 @@ def identify(
         loss: "squares", "huber", or "tukey" after Huber's.
         nuisances: other parameters of the measurements; by default those that they imply.
         start: an earlier identification from part of the same measurements, in the same axes, as a faster start.
+        precision: change of the residuals at which to stop, in units of their sigma.
 
     Raises:
         InvalidValueError: there are no measurements or no parameters, or the prior is not positive.
@@ -326,17 +334,19 @@ def identify(
     if start is not None:
         x = start.scaled_values
         poses = _poses_at(errors.apply(start.values), measurements, poses.q)
-    last = x, np.zeros(0)
+    solutions: list[Array] = []
+    changes: list[Array] = []
     for step in range(1, _MAX_STEPS + 1):
         linear = Linearisation.at(measurements, errors, elastic, nuisances, prior, poses, x)
         fit = linear.robust(loss, fit if previous < _NEAR or step > _SEARCHING else None)
         change = linear.rows @ (fit.x - x)
         length = float(np.abs(change).max())
         stuck = _SLOW if step > _SEARCHING else _STUCK
-        done = length <= _SMALL_STEP or (length <= stuck and length >= 0.5 * previous)
+        done = length <= precision or (length <= stuck and length >= 0.5 * previous)
         slowly = step > _FEW and length > _SLOWLY * previous and not frame.size
-        x = fit.x if done or not slowly else _extrapolated(fit.x, change, *last)
-        last = fit.x, change
+        solutions.append(fit.x)
+        changes.append(change)
+        x = fit.x if done or not slowly else _extrapolated(solutions[-_SECANTS:], changes[-_SECANTS:])
         if frame.size:
             # the frame found becomes part of the registration, so that it remains a small motion
             measurements = measurements.in_moved_base(x[frame] * linear.units[frame])
@@ -351,12 +361,16 @@ def identify(
     )
 
 
-def _extrapolated(x: Array, change: Array, before: Array, change_before: Array) -> Array:
-    """Return the secant's zero, given two solutions and the changes of the residuals that led to them."""
-    difference = change - change_before
-    size = float(np.vdot(difference, difference))
-    amount = float(np.vdot(change, difference)) / size if size > 0.0 else 0.0
-    return np.asarray(x - np.clip(amount, -_FARTHEST, _FARTHEST) * (x - before))
+def _extrapolated(solutions: Sequence[Array], changes: Sequence[Array]) -> Array:
+    """Return the secants' zero, given the last solutions and the changes of the residuals that led to them.
+
+    D. Anderson, Journal of the ACM 12, 1965.
+    """
+    last = changes[-1].ravel()
+    differences = np.stack([last - change.ravel() for change in changes[:-1]], axis=1)
+    amounts = np.linalg.lstsq(differences, last, rcond=_INDEPENDENT)[0]
+    amounts /= max(1.0, float(np.abs(amounts).sum()) / _FARTHEST)
+    return np.asarray(solutions[-1] - (solutions[-1] - np.array(solutions[:-1])).T @ amounts)
 
 
 def _poses_at(robot: Robot, measurements: Measurements, guess: Array | None = None) -> Poses:

@@ -169,12 +169,14 @@ def _points(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[
 def _counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
     """Yield the zero of each drive, and of all drives, fitted to all rows together."""
     commands, drives = measurements.commands, np.eye(measurements.commands.shape[1])
+    described = command_jacobians(nominal)
     for each in (*np.split(drives, len(drives), axis=1), drives):
         off = f"zero of u{int(np.argmax(each)) + 1} is" if each.shape[1] == 1 else "zeros of the drives are"
         with contextlib.suppress(PM3DofError, np.linalg.LinAlgError):
             poses, zeros = nominal, np.zeros(each.shape[1])
             for _ in range(_STEPS):
-                zeros = zeros + _explained_by(measurements, poses, eta, command_jacobians(poses) @ each)
+                motions = described if poses is nominal else command_jacobians(poses)
+                zeros = zeros + _explained_by(measurements, poses, eta, motions @ each)
                 poses = nominal.robot.forward(commands + each @ zeros, guess=poses.q)
             amounts = millimetres(-zeros) if len(zeros) == 1 else f"({millimetres(-zeros)})"
             text = f"the {off} off by about {amounts} mm or mrad"

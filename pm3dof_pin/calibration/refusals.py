@@ -9,7 +9,7 @@ import numpy as np
 
 from pm3dof_pin.calibration.fit import Fit, Options, fit
 from pm3dof_pin.calibration.held_out import HeldOut
-from pm3dof_pin.calibration.identification import PRIOR, Identification, identify
+from pm3dof_pin.calibration.identification import PRIOR, ROUGHLY, Identification, identify
 from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.mistakes import Mistake, changes_in_the_middle, usual_mistakes
 from pm3dof_pin.calibration.pseudo_error import seen_errors
@@ -43,6 +43,7 @@ _HALF = 0.5  # of the noise factor, that a change in the middle may leave
 _ALIKE = 1.5  # times the misfit left by another mistake: not distinguishable from it
 _MAX_FITS = 8  # mistakes tried by a fit
 _MAX_ROWS = 300  # examined
+_FEW_ROWS = 20  # examined first
 _BESIDE = 3.0  # widths of a drive's range
 _MAX_REACHED = 0.9  # fraction of the commands
 
@@ -219,8 +220,11 @@ def likely_cause(measurements: Measurements, errors: GeometricErrors, eta: float
     if before < _OWN * possible:
         return ""
     found: list[tuple[float, float, Mistake]] = []
+    some = np.arange(0, len(measurements), max(1, len(measurements) // _FEW_ROWS))
     for mistake in usual_mistakes(measurements, nominal, eta):
         try:
+            if _misfit(*_reached(mistake.corrected[some], errors.robot, nominal[some]), eta) > before:
+                continue
             after = _misfit(*_reached(mistake.corrected, errors.robot, nominal), eta)
         except (PM3DofError, np.linalg.LinAlgError):
             continue
@@ -242,6 +246,8 @@ def _fits(mistake: Mistake, errors: GeometricErrors, eta: float) -> bool:
     """Tell whether a machine within its tolerances fits corrected measurements to their noise."""
     try:
         measurements, options = _reached(mistake.corrected, errors.robot)[0], Options("lm", eta=eta)
+        if identify(measurements, errors, precision=ROUGHLY).noise_factor > 2.0 * _LOUD:
+            return False
         found = fit(measurements, errors, options, quiet=True)
         if mistake.again is not None:
             again = mistake.again(found.identification.measurements, found.identification.poses)

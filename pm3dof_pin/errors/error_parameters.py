@@ -294,9 +294,8 @@ class GeometricErrors:
             moves = np.zeros(model.nv + len(self))
             for joint in model.supports[body].tolist()[1:]:
                 moves[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = 1.0
-            for index, parameter in enumerate(self.parameters, start=model.nv):
-                joints, frames = self.moved[parameter.place]
-                moves[index] = float(body in joints or frame in frames)
+            moved = [body in joints or frame in frames for joints, frames in self.moved.values()]
+            moves[model.nv :] = np.array(moved, dtype=float)[self._place_numbers]
             self._movers[frame] = frozen(moves)
         return self._movers[frame]
 

@@ -14,7 +14,6 @@ equally stiff: they give way by the least norm, in radians and characteristic le
 
 from __future__ import annotations
 
-import contextlib
 import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.arrays import frozen, require_choice, require_kind
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.loop_covectors import RankInDoubtError, covectors, inverses
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
@@ -40,11 +40,11 @@ _SMALL = 1e-3  # largest errors [m, rad] with which closing is tested; displacem
 _POSES_TO_CLOSE_AT = 20  # at a single pose, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
-_SOUND = 0.1 / RANK_TOLERANCE  # a square matrix of lower condition has no singular value near the tolerance
 _PROGRAM_FROM = 100
 """Poses of a small robot: a calibration, which comes back to them, then gains by tracing and compiling."""
 _LARGE = 12_000  # errors times joints: of larger robots as many times more, since compiling takes half a minute,
 _DRIVES = 300  # for the drives as long as for so many errors
+_MANY_JOINTS = 40  # that follow; of fewer, closures are not eliminated one by one
 _NUMBERS = 1e7  # that are computed at once with Pinocchio
 
 
@@ -106,7 +106,8 @@ def sensitivities(
         own = _of_motions(poses, by_errors, by_drives)
         parts = [(tool.errors, own.errors), (tool.commands, own.commands)]
         return Sensitivities(*(frozen(np.concatenate(pair, axis=1)) for pair in parts))
-    fewest = _PROGRAM_FROM * max(1.0, (len(errors) + _DRIVES) * poses.robot.model.nv / _LARGE)
+    size = (len(errors) + _DRIVES) * poses.robot.model.nv
+    fewest = _PROGRAM_FROM * max(1.0, size / _LARGE) ** 2
     if engine == "program" and len(poses) >= fewest:
         from pm3dof_pin.errors.sensitivity_program import evaluated
 
@@ -136,28 +137,34 @@ def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array, numbers: I
     """
     motions = np.empty((len(numbers), 6, len(errors) + len(poses.robot.actuated_indices)))
     done = 0
-    for loops in _blocks(errors, poses, p, numbers):
-        found = _block_motions(loops)
-        motions[done : done + len(found)] = found
-        done += len(found)
+    for loops in _blocks(errors, poses, p, numbers, dense=False):
+        here = slice(done, done + len(loops))
+        found = loops.regular_motions()
+        if found is None:
+            dense = _blocks(errors, poses, p, numbers[here])
+            found = np.concatenate([_followed_motions(few) for few in dense])
+        motions[here] = found
+        done = here.stop
     return motions
 
 
-def _blocks(errors: GeometricErrors, poses: Poses, p: Array, numbers: Indices) -> Iterator[_Loops]:
-    """Yield the loops at poses by number, in blocks whose matrices fit into memory."""
+def _blocks(
+    errors: GeometricErrors, poses: Poses, p: Array, numbers: Indices, *, dense: bool = True
+) -> Iterator[_Loops]:
+    """Yield the loops at poses by number, in blocks whose matrices, of all closures by all columns, fit into memory.
+
+    If these are not dense, each closure has few columns.
+    """
     robot = poses.robot
-    columns = robot.model.nv + len(errors)
-    size = columns * (robot.model.nv + robot.closure_scale.size + 24)
+    columns, rows = robot.model.nv + len(errors), robot.closure_scale.size
+    size = columns * (robot.model.nv + rows + 24) if dense else columns * 40 + robot.model.nv * rows
     block = max(1, int(_NUMBERS / size))
     for start in range(0, len(numbers), block):
         own = numbers[start : start + block]
         yield _Loops(errors, poses[own], p, own)
 
 
-def _block_motions(loops: _Loops) -> Array:
-    found = loops.regular_motions()
-    if found is not None:
-        return found
+def _followed_motions(loops: _Loops) -> Array:
     rates, strain = loops.followed_rates()
     strained = np.flatnonzero(strain.max(axis=0, initial=0.0) > RANK_TOLERANCE)
     if strained.size:
@@ -240,6 +247,9 @@ class _Loops:
         self._joints, twists = _tree(self._model, poses.q, self._carriers())
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
 
+    def __len__(self) -> int:
+        return len(self._q)
+
     @property
     def input_names(self) -> tuple[str, ...]:
         """Names of drives and errors."""
@@ -255,32 +265,25 @@ class _Loops:
         driven, free = robot.actuated_indices, robot.passive_indices
         if not robot.has_loops:
             return None
-        scale, blocks = robot.velocity_scale[free], list(self._closure_blocks())
-        closures = self._stacked((rows[:, :, moving < nv], moving[moving < nv]) for rows, moving in blocks)
-        closures = closures[:, :, :nv] / robot.closure_scale[:, None]
-        tool, passive = self._tool(), closures[:, :, free] * scale
-        through = tool[:, :, free] * scale
-        covectors: Array | None
-        unmet = np.zeros((len(tool), 0, len(robot.closure_scale)))
-        excess = self._excess
-        if len(free) + excess != robot.closure_scale.size:
-            found = None if excess else _redundant_covectors(passive, through)
-            if found is None:
-                return None
-            covectors, unmet = found
-        elif excess:
-            drives, by_drives = (part[:, :, driven] * self._give for part in (closures, tool))
-            covectors = _shared_covectors(passive, drives, through, by_drives)
-        else:
-            inverse, sound = _inverses(passive)
-            covectors = np.asarray(through @ inverse) if sound.all() else None
-        if covectors is None:
+        blocks, tool, excess = list(self._closure_blocks()), self._tool(), self._excess
+        if excess and len(free) + excess != robot.closure_scale.size:
             return None
-        covectors, unmet = covectors / robot.closure_scale, unmet / robot.closure_scale
+        scale = np.ones(tool.shape[2])
+        scale[free] = robot.velocity_scale[free]
+        if excess:
+            scale[driven] = self._give
+        parts = blocks if len(free) > _MANY_JOINTS else [(self._stacked(blocks)[:, :, :nv], np.arange(nv))]
+        sizes = np.split(robot.closure_scale[:, None], np.cumsum([rows.shape[1] for rows, _ in parts])[:-1])
+        scaled = [(rows * scale[moving] / size, moving) for (rows, moving), size in zip(parts, sizes, strict=True)]
+        try:
+            found = covectors(scaled, tool * scale, free, driven, excess)
+        except RankInDoubtError:
+            return None
+        acting, unmet = (part / robot.closure_scale for part in found)
         strains, first = np.zeros((len(tool), unmet.shape[1], tool.shape[2])), 0
         for rows, moving in blocks:
             own = slice(first, first + rows.shape[1])
-            tool[:, :, moving] -= covectors[:, :, own] @ rows
+            tool[:, :, moving] -= acting[:, :, own] @ rows
             strains[:, :, moving] += unmet[:, :, own] @ rows
             first = own.stop
         inputs = np.concatenate([driven, np.arange(nv, tool.shape[2])])
@@ -326,7 +329,7 @@ class _Loops:
         closures = self._closures() / robot.closure_scale[:, None]
         velocity_scale = robot.velocity_scale[free]
         passive, pushed = closures[:, :, free] * velocity_scale, closures[:, :, inputs]
-        inverse, sound = _inverses(passive)
+        inverse, sound = inverses(passive)
         if sound.all():
             rates[:, free] = -velocity_scale[:, None] * (inverse @ pushed)
             return rates, np.zeros((len(rates), len(inputs)))
@@ -387,9 +390,9 @@ class _Loops:
             return np.zeros((len(self._joints), 6, 0))
         names = [parameter.place for parameter in self._errors.parameters]
         places = {name: k for k, name in enumerate(dict.fromkeys(names))}
-        frames = np.stack([self._place(name) for name in places], axis=1)[:, [places[name] for name in names]]
-        linear, angular = (np.einsum("nkij,jk->nik", frames[..., :3, :3], part) for part in np.split(local, 2))
-        origins = np.swapaxes(frames[..., :3, 3], 1, 2)
+        frames = np.stack([self._place(name)[:, :3] for name in places], axis=3)[..., [places[name] for name in names]]
+        linear, angular = ((frames[:, :, :3] * part).sum(axis=2) for part in np.split(local, 2))
+        origins = frames[:, :, 3]
         return np.concatenate([linear + _crossed(origins, angular), angular], axis=1)
 
     def _carriers(self) -> list[int]:
@@ -469,49 +472,6 @@ class _Loops:
 
 def _bases(loop: LoopClosure) -> tuple[Array, Array]:
     return loop.bases or (np.eye(3), np.eye(3))
-
-
-def _redundant_covectors(passive: Array, tool: Array) -> tuple[Array, Array] | None:
-    """Return what of more closures than passive joints moves the tool, and random combinations that move no joint.
-
-    Their shapes are (n, 6, closures) and (n, 2, closures). An error that moves such a combination strains the closures.
-    """
-    if passive.shape[1] < passive.shape[2]:
-        return None
-    turned, triangular = np.linalg.qr(passive)
-    inverse, sound = _inverses(triangular)
-    if not sound.all():
-        return None
-    within = np.swapaxes(turned, 1, 2)
-    chosen = np.random.default_rng(0).standard_normal((2, passive.shape[1]))
-    return tool @ inverse @ within, chosen - chosen @ turned @ within
-
-
-def _shared_covectors(passive: Array, drives: Array, tool: Array, tool_by_drives: Array) -> Array | None:
-    """Return what of closures moves the tool, shape=(n, 6, closures), where more drives than needed meet some of them.
-
-    They do so by their least norm. None if some rank is in doubt.
-    """
-    count = passive.shape[2]
-    turned, triangular = np.linalg.qr(passive, mode="complete")
-    inverse, sound = _inverses(triangular[:, :count])
-    within, beyond = np.split(np.swapaxes(turned, 1, 2), [count], axis=1)
-    given, relations = np.linalg.qr(np.swapaxes(beyond @ drives, 1, 2))
-    inverse_relations, independent = _inverses(np.swapaxes(relations, 1, 2))
-    if not (sound.all() and independent.all()):
-        return None
-    covectors = tool @ inverse @ within
-    return np.asarray(covectors + (tool_by_drives - covectors @ drives) @ given @ inverse_relations @ beyond)
-
-
-def _inverses(matrices: Array) -> tuple[Array, Mask]:
-    """Return inverses, much faster than by singular values, and where they leave no doubt about the rank."""
-    if matrices.shape[1] == matrices.shape[2]:
-        with contextlib.suppress(np.linalg.LinAlgError):  # some are singular
-            inverses = np.linalg.inv(matrices)
-            condition = np.linalg.norm(matrices, axis=(1, 2)) * np.linalg.norm(inverses, axis=(1, 2))
-            return np.asarray(inverses), np.asarray(condition < _SOUND)
-    return matrices, np.zeros(len(matrices), dtype=bool)
 
 
 def _crossed(a: Array, b: Array) -> Array:

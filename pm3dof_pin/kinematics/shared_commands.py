@@ -31,6 +31,9 @@ _STEPS = 30
 _SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # factors tried in turn on a step that does not reduce the error
 _FARTHEST = 0.3  # of a coordinate in one step [rad, characteristic lengths]
 _SMALL = 1e-6  # of a coordinate, for differences [rad, characteristic lengths]
+_VISIBLE = 1e-4  # the same, for differences of differences
+_SLOWLY = 0.1  # of the step before
+_NEAR = 0.03  # step from which second derivatives are of use [rad, characteristic lengths]
 _SETTLED = 1e-11  # last step [rad, characteristic lengths]
 
 
@@ -115,16 +118,37 @@ class SharedCommands:
             better = left < off[rows]
             answer[rows[better]], off[rows[better]] = found[better], left[better]
 
+    def _read(self, q: Matrix, moves: Array) -> Array:
+        """Return the scaled changes of the commands by some moves of the coordinates, shape=(n, moves, commands).
+
+        The moves are scaled too, shape=(moves, k).
+        """
+        beside = (self._coordinates(q)[:, None] + moves * self._units).reshape(-1, len(self._units))
+        found = self._solver.walk(beside, np.repeat(q, len(moves), axis=0), keep_branch=False).q
+        before = np.repeat(self._robot.read(self._robot.command_coordinates, q), len(moves), axis=0)
+        return (self.differences(found, before) / self._scales).reshape(len(q), len(moves), len(self._scales))
+
     def _by_coordinates(self, q: Matrix) -> Array:
         """Return the derivatives of the commands by the coordinates, both scaled, by differences, shape=(n, u, k)."""
-        k, commands = len(self._units), self._robot.command_coordinates
-        beside = (self._coordinates(q)[:, None] + np.diag(_SMALL * self._units)).reshape(-1, k)
-        found = self._solver.walk(beside, np.repeat(q, k, axis=0), keep_branch=False).q
-        changes = self.differences(found, np.repeat(self._robot.read(commands, q), k, axis=0)) / self._scales
-        return np.swapaxes(changes.reshape(len(q), k, len(commands)), 1, 2) / _SMALL
+        return np.swapaxes(self._read(q, _SMALL * np.eye(len(self._units))), 1, 2) / _SMALL
+
+    def _curvatures(self, q: Matrix, left: Matrix) -> Array:
+        """Return the sums of second derivatives of the commands times what they are off, shape=(n, k, k)."""
+        k = len(self._units)
+        first, second = np.triu_indices(k)
+        along = _VISIBLE * np.eye(k)
+        sums = np.einsum("nmu,nu->nm", self._read(q, np.concatenate([along, along[first] + along[second]])), left)
+        curvatures = np.empty((len(q), k, k))
+        curvatures[:, first, second] = (sums[:, k:] - sums[:, first] - sums[:, second]) / _VISIBLE**2
+        curvatures[:, second, first] = curvatures[:, first, second]
+        return np.where(np.isfinite(curvatures).all(axis=(1, 2), keepdims=True), curvatures, 0.0)
 
     def _least_squares(self, commands: Matrix, starts: Matrix, *, keep_branch: bool) -> Matrix:
-        """Return the poses that meet commands by least squares, by Gauss-Newton steps; NaN where they do not settle."""
+        """Return the poses that meet commands by least squares; NaN where they do not settle.
+
+        By Gauss-Newton steps, and by Newton's where these shrink slowly: near singular poses, what the commands are off
+        curves the sum of squares as much as their derivatives do.
+        """
 
         def misfits(q: Matrix, rows: Indices) -> Matrix:
             return self.differences(q, commands[rows]) / self._scales
@@ -132,30 +156,43 @@ class SharedCommands:
         values = np.array(self._coordinates(starts))
         q = self._solver.walk(values, starts, keep_branch=False).q
         rows, settled = np.flatnonzero(np.isfinite(q).all(axis=1)), np.zeros(len(q), dtype=bool)
-        left = misfits(q, np.arange(len(q)))
+        left, k = misfits(q, np.arange(len(q))), len(self._units)
+        slopes, curvatures = np.empty((*left.shape, k)), np.zeros((len(q), k, k))
+        last = before = np.full(len(q), np.inf)  # steps
         for _ in range(_STEPS):
+            # the error by derivatives of the step before is what the commands are off times that step
+            changed = rows[~(last[rows] * np.linalg.norm(left[rows], axis=1) <= _SETTLED)]
+            slopes[changed] = self._by_coordinates(q[changed])
+            rows = rows[np.isfinite(slopes[rows]).all(axis=(1, 2))]
             if not rows.size:
                 break
-            by_coordinates = self._by_coordinates(q[rows])
-            known = np.isfinite(by_coordinates).all(axis=(1, 2))
-            rows, by_coordinates = rows[known], by_coordinates[known]
-            steps: Array = -np.einsum("nij,nj->ni", np.linalg.pinv(by_coordinates), left[rows])
+            slow = rows[(last[rows] > _SLOWLY * before[rows]) & (last[rows] < _NEAR)]
+            curvatures[slow] = self._curvatures(q[slow], left[slow])
+            transposed = np.swapaxes(slopes[rows], 1, 2)
+            sizes, axes = np.linalg.eigh(transposed @ slopes[rows] + curvatures[rows])
+            sizes = np.maximum(np.abs(sizes), np.finfo(float).eps * np.abs(sizes).max(axis=1, keepdims=True))
+            pulls = np.swapaxes(axes, 1, 2) @ (transposed @ left[rows, :, None])
+            steps: Array = -(axes @ (pulls / sizes[:, :, None]))[:, :, 0]
             steps /= np.maximum(1.0, np.abs(steps).max(axis=1, initial=0.0) / _FARTHEST)[:, None]
-            waiting = np.arange(len(rows))
+            lengths = np.abs(steps).max(axis=1, initial=0.0)
+            tiny, waiting = lengths < _SMALL, np.arange(len(rows))
             for factor in _SHORTER:
                 own = rows[waiting]
                 tried = values[own] + factor * steps[waiting] * self._units
                 reached = self._solver.walk(tried, q[own], keep_branch=keep_branch).q
                 after = misfits(reached, own)
-                lower = np.linalg.norm(after, axis=1) < np.linalg.norm(left[own], axis=1)  # false where not reached
+                # sums of squares do not tell tiny steps from rounding
+                most = np.linalg.norm(left[own], axis=1) + np.where(tiny[waiting], _SMALL, 0.0)
+                lower = np.linalg.norm(after, axis=1) < most  # false where not reached
                 better = own[lower]
                 values[better], q[better], left[better] = tried[lower], reached[lower], after[lower]
                 waiting = waiting[~lower]
                 if not waiting.size:
                     break
-            sizes = np.abs(steps).max(axis=1, initial=0.0)
             stuck = np.isin(np.arange(len(rows)), waiting)
-            # at rounding, no step reduces the error any more
-            settled[rows[(sizes < _SETTLED) | (stuck & (sizes < _SMALL))]] = True
-            rows = rows[(sizes >= _SETTLED) & ~stuck]
+            done = (lengths < _SETTLED) | (tiny & (stuck | (lengths > 0.5 * last[rows])))
+            settled[rows[done]] = True
+            before = last.copy()
+            last[rows] = lengths
+            rows = rows[~done & ~stuck]
         return np.where(settled[:, None], q, np.nan)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -54,16 +53,33 @@ def test_plan_measure_calibrate(robots: dict[str, Path], name: str) -> None:
     assert np.median(tip_error(pose_difference(reached, model))) < 5e-5  # of 300 to 900 µm
 
 
+def test_a_pose_beyond_the_reach_of_the_described_machine_is_left_out(robots: dict[str, Path]) -> None:
+    """The machine itself is assembled there: its links are a little longer than described."""
+    errors = closable(pm.GeometricErrors.load(robots["five-bar"]))
+    generator, robot = np.random.default_rng(7), errors.robot
+    poses = pm.reachable_poses(robot, 40, generator)
+    values = 0.5 * errors.sample(generator)
+    on_the_way = robot.home.commands + np.linspace(0.0, 1.5, 30_001)[:, None] * [1.0, -1.0]
+    machines = [robot, errors.apply(values), errors.apply(-values)]
+    described, *real = (int(np.argmin(each.forward(on_the_way, on_failure="nan").solved)) for each in machines)
+    assert 0 < described < max(real) - 1
+    machine = machines[1 + int(np.argmax(real))]
+    rows = np.vstack([poses.commands, on_the_way[(described + max(real)) // 2]])
+    measured = np.array(machine.forward(rows).transforms)
+    measured[:, :3, 3] += 7.5e-6 * generator.standard_normal((len(rows), 3))
+    found = pm.calibrate(pm.Measurements.from_poses(rows, measured), errors, "lm")
+    assert any("line" in warning and "left out: so near to a singular pose" in warning for warning in found.warnings)
+    assert len(found.measurements) == 40
+
+
 def test_a_machine_with_too_many_drives_is_measured_and_calibrated(tmp_path: Path, run: Callable[..., Any]) -> None:
-    """Its drives contradict each other; near a singular pose no least squares meets them, and rows there are named."""
-    robot, said = str(shutil.copytree(MACHINES / "four_rrr", tmp_path / "four_rrr")), ""
+    """Its drives contradict each other; near singular poses Gauss-Newton steps alone do not settle."""
+    robot = str(shutil.copytree(MACHINES / "four_rrr", tmp_path / "four_rrr"))
     for machine in ("1", "3"):
         rows, out = str(tmp_path / f"{machine}.csv"), str(tmp_path / machine)
         assert run("measure", "--robot", robot, "--poses", "40", "--machine", machine, "--out", rows).returncode == 0
         done = run("calibrate", rows, "--robot", robot, "--method", "lm", "--out", out, "--json")
         assert done.returncode == 0, done.stderr
+        assert "left out: so near" not in done.stderr
         errors = json.loads(done.stdout)["held_out"]
         assert errors["tip_error_after_m"]["mean"] < 0.5 * errors["tip_error_before_m"]["mean"]
-        said += done.stderr
-    (lines,) = re.findall(r"lines ([\d, ]+): left out: so near to a singular pose", said)
-    assert 1 <= len(lines.split(", ")) <= 4

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import ConvergenceError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -75,6 +77,19 @@ def test_commands_that_differ_slightly_are_met_by_least_squares(four_rrr: Robot)
     beside = four_rrr.solve(found.coordinates + 1e-4 * np.vstack([np.eye(3), -np.eye(3)]), guess=found.q)
     apart = np.linalg.norm(beside.commands - commands, axis=1)
     assert np.linalg.norm(found.commands - commands) < apart.min()
+
+
+def test_least_squares_are_the_same_from_other_starts_near_singular_poses_too(four_rrr: Robot) -> None:
+    """What the commands of a machine with errors are off curves the sum of squares, where Gauss-Newton does not end."""
+    errors, generator = closable(GeometricErrors.load(MACHINES / "four_rrr")), np.random.default_rng(5)
+    machine = errors.apply(2.0 * errors.sample(generator))
+    poses = reachable_poses(four_rrr, 200, generator)
+    found = machine.forward(poses.commands, guess=poses.q)
+    assert np.abs(found.commands - poses.commands).max() > 1e-4  # they contradict each other
+    beside = machine.solve(found.coordinates + 1e-3, guess=found.q, on_failure="nan")
+    assert beside.solved.mean() > 0.98
+    again = machine.forward(poses.commands[beside.solved], guess=beside.q[beside.solved])
+    np.testing.assert_allclose(again.coordinates, found.coordinates[beside.solved], atol=2e-8)
 
 
 def test_commands_that_contradict_each_other_are_refused(four_rrr: Robot) -> None:
