@@ -274,6 +274,14 @@ class Linearisation:
 
     def _solve(self, weights: Array, factors: Array) -> Array:
         scale, count = np.sqrt(weights)[:, None] / (self.kinds @ factors), self.rows.shape[2]
+        if np.isfinite(self.prior) and self._gram is not None and (self.sigmas < UNKNOWN).all():
+            # of fewer equations than parameters, all of which have a prior, weights scale rows and columns
+            each = scale.ravel()
+            matrix = self._gram * each * each[:, None]
+            matrix.flat[:: len(each) + 1] += 1.0
+            factor = scipy.linalg.cho_factor(matrix, overwrite_a=True, check_finite=False)
+            found = each * scipy.linalg.cho_solve(factor, each * self._targets.ravel(), check_finite=False)
+            return np.asarray(self.sigmas**2 * (found @ self.rows.reshape(-1, count)))
         if np.isfinite(self.prior):
             # with a prior the normal equations are well conditioned, and much faster to reweight
             rows, sigmas, basis = self._seen
