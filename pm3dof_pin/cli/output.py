@@ -12,6 +12,8 @@ from typing import Any
 
 import typer
 
+from pm3dof_pin.programs.making import told_to
+
 LIMIT_BROKEN = 1
 
 
@@ -58,17 +60,25 @@ def stop_on_broken_limits(violations: Sequence[object]) -> None:
 
 @contextmanager
 def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function (done, total) that advances a bar on standard error if that is a terminal."""
+    """Yield a function (done, total) that advances a bar on standard error if that is a terminal.
+
+    The bar also says that a program is being recorded or compiled, which takes long for large robots.
+    """
     if not sys.stderr.isatty():
         yield lambda done, total: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn(text), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+        def show(made: str) -> None:
+            bar.update(task, description=f"{text}, {made}" if made else text)
+
+        with told_to(show):
+            yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _plain(value: Any) -> Any:

@@ -24,6 +24,7 @@ import pm3dof_pin
 from pm3dof_pin.exceptions import InvalidValueError, OutputError, ProgramError
 from pm3dof_pin.files import write_atomically
 from pm3dof_pin.programs import llvm
+from pm3dof_pin.programs.making import making
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.walk import Walk
 
@@ -71,7 +72,8 @@ def stored(key: str, make: Callable[[], Program]) -> Program:
             return Program.from_bytes(content)
         except InvalidValueError:
             _LOG.info("cache entry %s is not a program; rebuilt", name)
-    program = make()
+    with making("recording a program"):
+        program = make()
     _keep(name, program.content)
     return program
 
@@ -104,7 +106,9 @@ def _code(program: Program | Walk, *, optimized: bool) -> bytes:
 
 
 def _made(program: Program | Walk, *, optimized: bool) -> bytes:
-    code = llvm.object_code(program, llvm.target().lanes, optimized)
+    own = program.step if isinstance(program, Walk) else program
+    with making(f"compiling {len(own.codes):,} operations"):
+        code = llvm.object_code(program, llvm.target().lanes, optimized)
     _keep(_code_name(program, optimized=optimized), code)
     return code
 

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import os
+import pty
+import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -117,3 +123,20 @@ def test_wrong_usage(run: Any, arguments: list[str], status: int, words: str, tm
     assert words in " ".join(result.stderr.split()).replace("│", "")
     assert "Traceback" not in result.stderr
     assert list(tmp_path.rglob("*.*")) == []
+
+
+def test_the_bar_on_a_terminal_says_that_a_program_is_compiled(tmp_path: Path) -> None:
+    ours, terminal = pty.openpty()
+    command = [sys.executable, "-m", "pm3dof_pin", "workspace", "--robot", "three_rps", "--no-picture"]
+    command += ["--out", str(tmp_path / "space")]
+    environment = os.environ | {"PM3DOF_CACHE_DIR": str(tmp_path / "cache")}
+    with subprocess.Popen(command, stderr=terminal, stdout=subprocess.DEVNULL, env=environment) as process:
+        os.close(terminal)
+        shown = b""
+        with contextlib.suppress(OSError):  # the end of a terminal
+            while part := os.read(ours, 1 << 16):
+                shown += part
+    os.close(ours)
+    assert process.returncode == 0
+    assert b"workspace, recording a program" in shown
+    assert re.search(rb"workspace, compiling \d[\d,]* operations", shown)
