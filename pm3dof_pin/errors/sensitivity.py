@@ -42,7 +42,7 @@ logger = logging.getLogger(__name__)
 
 _PROGRAM_FROM = 100
 """Poses of a small robot: a calibration, which comes back to them, then gains by tracing and compiling."""
-_LARGE = 12_000  # errors times joints: of larger robots as many times more, since compiling takes half a minute,
+_LARGE = 12_000  # errors times joints: of larger robots the square of as many times more, as compiling takes minutes,
 _DRIVES = 300  # for the drives as long as for so many errors
 _MANY_JOINTS = 40  # that follow; of fewer, closures are not eliminated one by one
 _NUMBERS = 1e7  # that are computed at once with Pinocchio
