@@ -156,17 +156,17 @@ class GeometricErrors:
         self._movers: dict[int, Vector] = {}
 
     @classmethod
-    def load(cls, source: str | Path | pin.Model, **options: Unpack[LoadOptions]) -> GeometricErrors:
+    def load(cls, source: str | Path | pin.Model | Robot, **options: Unpack[LoadOptions]) -> GeometricErrors:
         """Load a robot with the error parameters of its `<stem>.errors.yaml`; without that file, with all of them.
 
-        Arguments are those of :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
+        Arguments are those of :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`, or a robot that is loaded.
 
         Raises:
             UnknownRobotError: no such robot.
             DescriptionError: a file is unreadable or malformed.
             FrameNotFoundError: a file names a joint or frame that the URDF does not have.
         """
-        robot = Robot.load(source, **options)
+        robot = source if isinstance(source, Robot) else Robot.load(source, **options)
         return cls(robot) if robot.files is None else cls.from_file(robot, robot.files.errors)
 
     @classmethod

@@ -79,6 +79,12 @@ def test_values_by_name_and_selections(tripod_errors: GeometricErrors) -> None:
         tripod_errors.indices("nonsense")
 
 
+def test_errors_of_a_robot_that_is_loaded(tripod_errors: GeometricErrors) -> None:
+    found = GeometricErrors.load(tripod_errors.robot)
+    assert found.robot is tripod_errors.robot
+    assert found.parameters == GeometricErrors.load("pm3dof").parameters
+
+
 def test_samples_keep_their_tolerances(tripod_errors: GeometricErrors) -> None:
     rng = np.random.default_rng(5)
     normal = np.array([tripod_errors.sample(rng) for _ in range(4000)]) / tripod_errors.tolerances
