@@ -18,7 +18,7 @@ from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.pose_file import BROKEN_LIMITS, Given, PoseTable, columns_text, read_poses
-from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.poses import Poses, limit_names
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import unit_slip
 from pm3dof_pin.typing import Vector
@@ -179,7 +179,7 @@ def _turns_without_end(robot: Robot, coordinate: Coordinate) -> bool:
 
 def limit_words(poses: Poses) -> list[str]:
     """Return one word per pose: the limit groups it breaks, or "reach" if it is out of reach."""
-    names = ("reach", *(group.name for group in poses.robot.limit_groups))
+    names = limit_names(poses.robot)
     return [
         "+".join(name for bit, name in enumerate(names) if flags & (1 << bit))
         for flags in poses.broken_limits.ravel().tolist()

@@ -26,6 +26,11 @@ REACH = 1
 _KNOWN = ("residual", "broken_limits", "transforms", "branch")  # what the solver may provide besides q
 
 
+def limit_names(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the bits of :attr:`Poses.broken_limits`, in order."""
+    return ("reach", *(group.name for group in robot.limit_groups))
+
+
 class Poses:
     """A batch of poses, of any shape. Read-only.
 

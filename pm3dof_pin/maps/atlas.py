@@ -38,9 +38,10 @@ from pm3dof_pin.exceptions import (
     UnreachablePoseError,
 )
 from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.poses import limit_names
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas_store import AtlasStore, Block, Variable, exclusive_run, require_intact
-from pm3dof_pin.maps.datasets import BROKEN_LIMITS, dataset_attributes, flag_variable, limit_names
+from pm3dof_pin.maps.datasets import BROKEN_LIMITS, dataset_attributes, flag_variable
 from pm3dof_pin.maps.quantities import select_quantities
 from pm3dof_pin.maps.quantity import NO_WRENCH, Evaluation, MappedRobot, Quantity
 from pm3dof_pin.programs.processors import processors

@@ -22,7 +22,6 @@ from pm3dof_pin.typing import Array
 if TYPE_CHECKING:
     import xarray as xr
 
-    from pm3dof_pin.kinematics.robot import Robot
 
 BROKEN_LIMITS = "broken_limits"
 
@@ -68,11 +67,6 @@ def dataset_attributes(title: str, machine: str) -> dict[str, str]:
 def coordinate_attributes(name: str, unit: str, machine: str) -> dict[str, str]:
     """Return the attributes of a coordinate of a machine."""
     return {"units": unit, "long_name": f"coordinate {name} of {machine}"}
-
-
-def limit_names(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the bits of :attr:`~pm3dof_pin.kinematics.poses.Poses.broken_limits`, in order."""
-    return ("reach", *(group.name for group in robot.limit_groups))
 
 
 def flag_variable(dims: tuple[str, ...], flags: NDArray[Any], names: tuple[str, ...], long_name: str) -> NamedArray:

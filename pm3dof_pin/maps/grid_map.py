@@ -17,7 +17,7 @@ from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.errors.tool_errors import LEAST_SENSITIVE_PART
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.poses import Poses, limit_names
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.datasets import (
     BROKEN_LIMITS,
@@ -26,7 +26,6 @@ from pm3dof_pin.maps.datasets import (
     coordinate_attributes,
     dataset_attributes,
     flag_variable,
-    limit_names,
 )
 from pm3dof_pin.maps.limit_space import coordinates_over
 from pm3dof_pin.maps.quantities import select_quantities

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.coordinate_ranges import require_quick_poses
-from pm3dof_pin.maps.datasets import limit_names
+from pm3dof_pin.kinematics.poses import limit_names
 from pm3dof_pin.typing import Array, Branch
 
 if TYPE_CHECKING:

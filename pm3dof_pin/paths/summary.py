@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pm3dof_pin.kinematics.poses import REACH
+from pm3dof_pin.kinematics.poses import REACH, limit_names
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Vector
@@ -115,8 +115,7 @@ class PathSummary:
     def as_data(self) -> dict[str, Any]:
         """Return the summary as plain data; keys end in their unit."""
         robot = self._robot
-        names = ("reach", *(group.name for group in robot.limit_groups))
-        broken = [name for bit, name in enumerate(names) if self._broken & (1 << bit)]
+        broken = [name for bit, name in enumerate(limit_names(robot)) if self._broken & (1 << bit)]
         counts = self._counts
         data: dict[str, Any] = {
             "robot": robot.name,

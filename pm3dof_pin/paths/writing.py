@@ -11,7 +11,8 @@ import numpy as np
 
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import csv_text, write_atomically
-from pm3dof_pin.maps.datasets import dataset_attributes, limit_names
+from pm3dof_pin.kinematics.poses import limit_names
+from pm3dof_pin.maps.datasets import dataset_attributes
 from pm3dof_pin.paths.evaluation import PathEvaluation
 from pm3dof_pin.typing import Matrix
 
