@@ -66,7 +66,7 @@ def compare_workers(robot: Robot, counts: list[int], count: int, path: Path) -> 
 
     seconds(None, None)  # compiles
     print(f"{robot.name}, {grid.size / 1e6:.1f} million poses, {sum(1 for _ in job.blocks())} blocks, {path.suffix}")
-    # statistical profiles of workers take time, and hang with Python before 3.11.8 (gh-106883)
+    # statistical profiles of workers take time, and Python 3.11 can hang in them (gh-106883)
     dask.config.set({"distributed.worker.profile.enabled": False})
     for workers in counts:
         by_threads, _ = min(seconds(workers, None) for _ in range(3))
