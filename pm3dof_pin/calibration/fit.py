@@ -123,7 +123,12 @@ class Fit:
 
 
 def fit(
-    measurements: Measurements, errors: GeometricErrors, options: Options | None = None, *, quiet: bool = False
+    measurements: Measurements,
+    errors: GeometricErrors,
+    options: Options | None = None,
+    *,
+    first: Identification | None = None,
+    quiet: bool = False,
 ) -> Fit:
     """Fit parameters and a learned part to measurements.
 
@@ -133,6 +138,7 @@ def fit(
         measurements: poses, positions or points.
         errors: the parameters, with their tolerances.
         options: method and settings.
+        first: what :func:`~pm3dof_pin.calibration.identification.identify` finds to :data:`ROUGHLY`, if that is known.
         quiet: whether to return warnings without logging them.
 
     Raises:
@@ -144,7 +150,7 @@ def fit(
     if options.prior is not None:
         identification = identify(measurements, errors, prior=options.prior, loss=options.loss)
     else:
-        identification = identify(measurements, errors, loss=options.loss, precision=ROUGHLY)
+        identification = first or identify(measurements, errors, loss=options.loss, precision=ROUGHLY)
         prior, error = identification.likely_prior()
         shown, start = identification.measurements, identification
         identification = identify(shown, errors, prior=prior, prior_error=error, loss=options.loss, start=start)

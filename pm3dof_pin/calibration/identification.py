@@ -34,10 +34,10 @@ PRIOR = 3.0
 PRIOR_DOMINATED = 0.9
 """A parameter whose standard deviation stays above this fraction of the prior's is dominated by the prior."""
 
-_MAX_STEPS = 50
 ROUGHLY = 1e-3
 """A precision that no statistic of the residuals notices."""
 
+_MAX_STEPS = 50
 _SMALL_STEP = 1e-6  # change of the residuals by a step, in units of their sigma
 _STUCK = 1e-4  # the same, for a step that only rounding keeps from shrinking further
 _SLOW = 1e-2  # the same after many steps, still small against the noise

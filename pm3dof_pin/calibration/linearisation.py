@@ -274,7 +274,7 @@ class Linearisation:
 
     def _solve(self, weights: Array, factors: Array) -> Array:
         scale, count = np.sqrt(weights)[:, None] / (self.kinds @ factors), self.rows.shape[2]
-        if np.isfinite(self.prior) and self._gram is not None and (self.sigmas < UNKNOWN).all():
+        if (self.sigmas < UNKNOWN).all() and self._gram is not None:
             # of fewer equations than parameters, all of which have a prior, weights scale rows and columns
             each = scale.ravel()
             matrix = self._gram * each * each[:, None]

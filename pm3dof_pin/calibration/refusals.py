@@ -220,12 +220,14 @@ def likely_cause(measurements: Measurements, errors: GeometricErrors, eta: float
     if before < _OWN * possible:
         return ""
     found: list[tuple[float, float, Mistake]] = []
-    some = np.arange(0, len(measurements), max(1, len(measurements) // _FEW_ROWS))
+    every = np.arange(len(measurements))
+    some = every[:: max(1, len(every) // _FEW_ROWS)]
     for mistake in usual_mistakes(measurements, nominal, eta):
         try:
-            if _misfit(*_reached(mistake.corrected[some], errors.robot, nominal[some]), eta) > before:
-                continue
-            after = _misfit(*_reached(mistake.corrected, errors.robot, nominal), eta)
+            for rows in (some, every) if len(some) < len(every) else (every,):
+                after = _misfit(*_reached(mistake.corrected[rows], errors.robot, nominal[rows]), eta)
+                if after > before:
+                    break
         except (PM3DofError, np.linalg.LinAlgError):
             continue
         if after < _EXPLAINS * before:
@@ -246,9 +248,10 @@ def _fits(mistake: Mistake, errors: GeometricErrors, eta: float) -> bool:
     """Tell whether a machine within its tolerances fits corrected measurements to their noise."""
     try:
         measurements, options = _reached(mistake.corrected, errors.robot)[0], Options("lm", eta=eta)
-        if identify(measurements, errors, precision=ROUGHLY).noise_factor > 2.0 * _LOUD:
+        first = identify(measurements, errors, loss=options.loss, precision=ROUGHLY)
+        if first.noise_factor > 2.0 * _LOUD:
             return False
-        found = fit(measurements, errors, options, quiet=True)
+        found = fit(measurements, errors, options, first=first, quiet=True)
         if mistake.again is not None:
             again = mistake.again(found.identification.measurements, found.identification.poses)
             found = fit(again, errors, options, quiet=True)

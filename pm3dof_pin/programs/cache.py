@@ -86,7 +86,7 @@ def compiled(program: Program | Walk) -> llvm.Compiled:
     Raises:
         ProgramError: it has more than :data:`MOST_OPERATIONS`, or LLVM does not compile it.
     """
-    own = program.step if isinstance(program, Walk) else program
+    own = _step(program)
     if (count := len(own.codes)) > MOST_OPERATIONS:
         raise ProgramError(f"program '{own.name}' has {count:,} operations, more than the {MOST_OPERATIONS:,} compiled")
     with_care = partial(_code, program, optimized=True)
@@ -101,13 +101,16 @@ def compiled(program: Program | Walk) -> llvm.Compiled:
     return llvm.Compiled(program, _made(program, optimized=False), faster=with_care)
 
 
+def _step(program: Program | Walk) -> Program:
+    return program.step if isinstance(program, Walk) else program
+
+
 def _code(program: Program | Walk, *, optimized: bool) -> bytes:
     return _read(_code_name(program, optimized=optimized)) or _made(program, optimized=optimized)
 
 
 def _made(program: Program | Walk, *, optimized: bool) -> bytes:
-    own = program.step if isinstance(program, Walk) else program
-    with making(f"compiling {len(own.codes):,} operations"):
+    with making(f"compiling {len(_step(program).codes):,} operations"):
         code = llvm.object_code(program, llvm.target().lanes, optimized)
     _keep(_code_name(program, optimized=optimized), code)
     return code
