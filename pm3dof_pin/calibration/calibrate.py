@@ -189,27 +189,24 @@ def calibrate(
     report_progress = progress or (lambda done, of: None)
     failure: PM3DofError | None = None
     try:
-        fitted, held_out, against = _judged(fit(seen, errors, options, quiet=True))
+        fitted, held_out, against = _best_judged(seen, errors, options, undeclared=undeclared)
     except _FAILURES as error:
         failure = error
         if not isinstance(error, InvalidValueError) and not (kept := assembled_rows(seen, errors)).all():
             with contextlib.suppress(*_FAILURES):
-                fitted, held_out, against = _judged(fit(seen[kept], errors, options, quiet=True))
+                fitted, held_out, against = _best_judged(seen[kept], errors, options, undeclared=undeclared)
                 lost = [line for line, is_kept in zip(seen.lines, kept, strict=True) if not is_kept]
                 warnings.append(
                     f"{lines_in_words(lost)}left out: so near to a singular pose that machines out of tolerance "
                     "cannot be assembled there"
                 )
                 seen, failure = seen[kept], None
-    if undeclared and (failure is not None or against or not fitted.scatters):
-        # nobody said that the drives are homed to absolute marks
-        with contextlib.suppress(*_FAILURES):
-            other = fit(seen, with_free_zeros(errors), options, quiet=True)
-            if failure is not None or against or _explains_more(other, fitted):
-                again = _judged(other)
-                if not again[2]:
-                    (fitted, held_out, against), failure = again, None
-                    warnings.append(_zeros_in_words(fitted))
+    if undeclared and (failure is not None or against):
+        other = _judged_with_free_zeros(seen, errors, options)
+        if other is not None:
+            (fitted, held_out, against), failure = other, None
+    if failure is None and undeclared and (zeros := _zeros_in_words(fitted)):
+        warnings.append(zeros)
     for warning in (*warnings, *(() if failure is not None else fitted.warnings)):
         logger.warning("%s", warning)
     if failure is not None:
@@ -243,6 +240,33 @@ def calibrate(
     return Calibration(**parts, held_out=held_out, validation=judged, refusals=tuple(against))
 
 
+def _best_judged(
+    seen: Measurements, errors: GeometricErrors, options: Options, *, undeclared: bool
+) -> tuple[Fit, HeldOut | None, list[str]]:
+    """Return a fit with its cross-validation, and what speaks against it; raises as :func:`fit`.
+
+    With undeclared tolerances, the drives' zeros are free if the parameters do not describe the machine otherwise.
+    """
+    first = fit(seen, errors, options, quiet=True)
+    other = _judged_with_free_zeros(seen, errors, options, first) if undeclared and not first.scatters else None
+    return other or _judged(first)
+
+
+def _judged_with_free_zeros(
+    seen: Measurements, errors: GeometricErrors, options: Options, first: Fit | None = None
+) -> tuple[Fit, HeldOut | None, list[str]] | None:
+    """Return a fit with drives that nobody said are homed to absolute marks.
+
+    None if it does not leave clearly smaller residuals than the first one, or if something speaks against it.
+    """
+    with contextlib.suppress(*_FAILURES):
+        other = fit(seen, with_free_zeros(errors), options, quiet=True)
+        if first is None or other.identification.noise_factor < _CLEARLY * first.identification.noise_factor:
+            judged = _judged(other)
+            return None if judged[2] else judged
+    return None
+
+
 def _judged(fitted: Fit) -> tuple[Fit, HeldOut | None, list[str]]:
     """Return a fit with its cross-validation, and what speaks against it."""
     held_out = HeldOut.from_cross_validation(fitted) if fitted.can_be_judged else None
@@ -251,18 +275,16 @@ def _judged(fitted: Fit) -> tuple[Fit, HeldOut | None, list[str]]:
     return fitted, held_out, refusals(fitted, held_out)
 
 
-def _explains_more(other: Fit, fitted: Fit) -> bool:
-    """Tell whether another fit leaves clearly smaller residuals."""
-    return other.identification.noise_factor < _CLEARLY * fitted.identification.noise_factor
-
-
 def _zeros_in_words(fitted: Fit) -> str:
+    """Name the zeros of drives that were free and are far off; "" if none was free."""
     found = fitted.identification
     zeros = [
         f"{name} {1e3 * value:.3g} m{parameter.unit}"
         for name, value, parameter in zip(found.errors.names, found.values, found.errors.parameters, strict=True)
         if parameter.group == "zeros" and abs(value) > _SAID * parameter.tolerance
     ]
+    if all(parameter.group != "zeros" for parameter in found.errors.parameters):
+        return ""
     return f"the zeros of the drives are far from the description, so they were taken as unknown: {', '.join(zeros)}"
 
 

@@ -58,7 +58,7 @@ class Gain:
         sizes = np.linalg.norm(effects[:, :, : len(values)] * compensation.errors.tolerances, axis=(1, 2))
         regular = sizes <= _SINGULAR * np.median(sizes)
         effects, control = effects[regular], weighted_control(poses[regular], compensation.eta)
-        corrected = control @ (np.linalg.pinv(control) @ effects[:, :, : len(values)])
+        corrected = (control @ np.linalg.pinv(control)) @ effects[:, :, : len(values)]
         return cls(values, covariance, effects, corrected)
 
     def chance_of_harm(self, values: Array) -> float:

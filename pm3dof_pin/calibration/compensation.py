@@ -105,6 +105,12 @@ class Compensation:
             return None
         return np.where(np.isfinite(self.covariance), self.covariance, 0.0)
 
+    @cached_property
+    def _spread(self) -> Array:
+        """Parameters for a standard deviation in each independent direction, shape=(rows of `covariance`, same)."""
+        known = self.known_covariance
+        return np.zeros((len(self.errors), 0)) if known is None else covariance_root(known)
+
     @property
     def bears_wrenches(self) -> bool:
         """Whether wrench columns deflect the springs, rather than being inputs of the learned part."""
@@ -341,10 +347,14 @@ class Compensation:
 
     def effects(self, poses: Poses) -> Array:
         """Return the tip-weighted tool motion by the parameters of `covariance`, shape=(n, 6, its rows)."""
-        effects = sensitivities(self.errors, poses, self.values).errors
-        if self.covariance is not None and len(self.covariance) > len(self.errors):
-            effects = np.concatenate([effects, datum_motions(poses)], axis=2)
-        return np.asarray(effects * tip_weights(self.eta)[:, None])
+        latest = vars(self).get("_latest")  # an interval asks twice
+        if latest is None or latest[0] is not poses:
+            effects = sensitivities(self.errors, poses, self.values).errors
+            if self.covariance is not None and len(self.covariance) > len(self.errors):
+                effects = np.concatenate([effects, datum_motions(poses)], axis=2)
+            latest = poses, frozen(effects * tip_weights(self.eta)[:, None])
+            vars(self)["_latest"] = latest
+        return np.asarray(latest[1])
 
     def standard_effects(self, poses: Poses) -> Array:
         """Return :meth:`effects` for a standard deviation in each independent direction of the parameters.
@@ -353,7 +363,7 @@ class Compensation:
         """
         if self.learned is not None or self.known_covariance is None:
             return np.zeros((len(poses), 6, 0))
-        return self.effects(poses) @ covariance_root(self.known_covariance)
+        return self.effects(poses) @ self._spread
 
     def rms_interval(self, wanted: Poses) -> tuple[float, float] | None:
         """Return an interval of the tip error with corrected commands [m], root mean square over poses, unloaded.

@@ -305,13 +305,16 @@ def _of_parameters(calibration: Fit, square: Array) -> dict[str, float]:
     def variances(known: Mask) -> tuple[float, float]:
         """Return the tip variances due to noise and to missing information, given that some parameters are known."""
         free = np.flatnonzero(~known)
-        information, knowledge = matrix[:, free].T @ matrix[:, free], np.diag(before[free] ** -2.0)
-        covariance = np.linalg.pinv(information + knowledge)
-        knowledge[free < count] *= (1.0 + found.prior_error) ** 2
-        effects = datum[:, free] * units[free]
-        tip = effects.T @ square @ effects
-        noise, ignorance = (float(np.trace(tip @ covariance @ part @ covariance)) for part in (information, knowledge))
-        return noise, ignorance
+        rows, effects, precision = matrix[:, free], datum[:, free] * units[free], before[free] ** -1.0
+        total = rows.T @ rows
+        total.flat[:: len(free) + 1] += precision**2
+        if precision.all():
+            spread = scipy.linalg.cho_solve(scipy.linalg.cho_factor(total), effects.T)
+        else:  # what has no prior may not have been seen
+            spread = np.linalg.pinv(total) @ effects.T
+        precision[free < count] *= 1.0 + found.prior_error
+        noise, ignorance = (np.sum((part @ square) * part) for part in (rows @ spread, precision[:, None] * spread))
+        return float(noise), float(ignorance)
 
     columns = np.arange(found.rows.shape[2])
     frame = machine + found.nuisances.columns("frame")

@@ -34,8 +34,8 @@ PRIOR = 3.0
 PRIOR_DOMINATED = 0.9
 """A parameter whose standard deviation stays above this fraction of the prior's is dominated by the prior."""
 
-ROUGHLY = 1e-3
-"""A precision that no statistic of the residuals notices."""
+ROUGHLY = 3e-2
+"""A precision that no statistic of the residuals notices: it adds half a thousandth to their noise."""
 
 _MAX_STEPS = 50
 _SMALL_STEP = 1e-6  # change of the residuals by a step, in units of their sigma
@@ -43,7 +43,7 @@ _STUCK = 1e-4  # the same, for a step that only rounding keeps from shrinking fu
 _SLOW = 1e-2  # the same after many steps, still small against the noise
 _SLOWLY = 0.1  # of the step before: not quadratic convergence, as where derivatives are approximate
 _FARTHEST = 10.0  # times the last change of a solution, to extrapolate
-_SECANTS = 4  # of so many steps
+_SECANTS = 6  # of so many steps
 _INDEPENDENT = 1e-2  # relative size of changes that differ from each other by more than nonlinearity
 _FEW = 3  # steps, in which quadratic convergence is nearly at its end
 _NEAR = 1.0  # the same, below which the minimum is kept

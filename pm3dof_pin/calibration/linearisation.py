@@ -35,6 +35,7 @@ _DAMPING = 1e-4  # (1 / 100 tolerances)^2: no linearisation is valid beyond that
 _REWEIGHTINGS = 200
 _USED_KNOWN = 5  # reweightings, after which the degrees of freedom that parameters use up hardly change
 _SETTLED = 1e-6  # change of weights
+_NEARLY_SETTLED = 1e-4  # the same while the problem changes too
 _HUBER = 0.95  # fraction of good measurements with full weight
 _TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one dimension
 _FALSE_ALARM = 0.01  # probability of naming an outlier in a set of good measurements
@@ -141,7 +142,7 @@ class Linearisation:
         if start is not None:
             weights, factors = start.weights, start.noise_factors
         x, dimensions = self._solve(weights, factors), self.dimensions.sum(axis=1)
-        used = np.zeros(0)
+        used, settled = np.zeros(0), _NEARLY_SETTLED if start is None else _SETTLED
         kinds = {"squares": ("squares",), "huber": ("huber",), "tukey": ("huber", "tukey")}[loss]
         for kind in kinds if start is None else kinds[-1:]:
             for step in range(_REWEIGHTINGS):
@@ -152,7 +153,7 @@ class Linearisation:
                     factors = self.noise_factors(squares, used)
                 weights = _weights(squares @ factors**-2.0, dimensions, kind)
                 x = self._solve(weights, factors)
-                if max(np.abs(weights - last).max(), np.abs(factors - last_factors).max()) < _SETTLED:
+                if max(np.abs(weights - last).max(), np.abs(factors - last_factors).max()) < settled:
                     break
         return RobustFit(x, weights, factors)
 

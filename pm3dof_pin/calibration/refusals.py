@@ -269,7 +269,7 @@ def _change_in_the_middle(calibration: Fit) -> str:
     shown, poses = found.settled[found.trusted], found.poses[found.trusted]
     for mistake in changes_in_the_middle(shown, poses, options.eta):
         corrected = replace(mistake.corrected, lines=shown.lines)
-        again = identify(corrected, found.errors, prior=found.prior, loss=options.loss)
+        again = identify(corrected, found.errors, prior=found.prior, loss=options.loss, precision=ROUGHLY)
         if again.noise_factor < _HALF * found.noise_factor:
             return mistake.text
     return ""

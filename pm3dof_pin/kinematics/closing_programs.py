@@ -24,13 +24,10 @@ _KEPT = "_program_source"
 
 def program_source(robot: PlacedMechanism) -> ProgramSource:
     """Return the source of a robot's programs: its prototype's, unless their structures differ."""
-    source = _source(robot.prototype)
-    return source if source.serves(robot) else _source(robot)
-
-
-def _source(robot: PlacedMechanism) -> ProgramSource:
     if _KEPT not in vars(robot):
-        vars(robot)[_KEPT] = ProgramSource(robot)
+        first = robot.prototype
+        shared = program_source(first) if first is not robot else None
+        vars(robot)[_KEPT] = shared if shared and shared.serves(robot) else ProgramSource(robot)
     found: ProgramSource = vars(robot)[_KEPT]
     return found
 

@@ -124,10 +124,13 @@ class PlacedMechanism(Mechanism):
 
         In order of precedence: those declared by the description; the tool's placement if it has six degrees of
         freedom; if there are more drives than degrees of freedom, as many components of the tool's placement as it has
-        degrees of freedom; the commands.
+        degrees of freedom; the commands. A variant with the same tool frame has those of its prototype.
         """
         if self.declared_coordinates:
             return self.declared_coordinates
+        first = self.prototype
+        if first is not self and self.tool_frame == first.tool_frame and self.is_variant_of(first):
+            return first.coordinates
         return self._tool_coordinates() or self.command_coordinates
 
     @cached_property
