@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -78,15 +77,8 @@ class Fit:
     #: identified parameters; for methods without parameters, used only to find outliers
     identification: Identification
     compensation: Compensation  #: corrects the commands
+    gain: Gain | None  #: gain of the corrections over the workspace; None for a method without parameters
     warnings: tuple[str, ...] = ()  #: what measurements and fit leave in doubt
-
-    @cached_property
-    def gain(self) -> Gain | None:
-        """Gain of the corrections over the workspace; None for a method without parameters."""
-        if not self.options.identifies:
-            return None
-        whole = Compensation.from_identification(self.identification, self.options.eta)
-        return Gain.from_compensation(whole)
 
     @property
     def chance_of_harm(self) -> float:
@@ -160,12 +152,14 @@ def fit(
     warnings = (*_gaps(identification), *_unseen_motions(shown, nominal, options))
     for warning in () if quiet else warnings:
         logger.warning("%s", warning)
-    compensation = compensation_from(shown, errors, options, identification if options.identifies else None)
+    used = identification if options.identifies else None
+    gain = None if used is None else Gain.from_compensation(Compensation.from_identification(used, options.eta))
+    compensation = compensation_from(shown, errors, options, used, gain)
     if options.identifies:
         shown = compensation.without_loads(shown)
     session = SessionEffects.from_identification(identification)
     compensation = replace(compensation, scatter=_scatter(compensation, shown, identification), session=session)
-    return Fit(options, identification.measurements, identification, compensation, warnings)
+    return Fit(options, identification.measurements, identification, compensation, gain, warnings)
 
 
 def _scatter(compensation: Compensation, shown: Measurements, identification: Identification) -> Scatter:
@@ -193,6 +187,7 @@ def compensation_from(
     errors: GeometricErrors,
     options: Options,
     identification: Identification | None,
+    gain: Gain | None = None,
 ) -> Compensation:
     """Combine identified parameters (None for the robot as described) with a part learned from measurements.
 
@@ -204,7 +199,7 @@ def compensation_from(
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:
         whole = Compensation.from_identification(identification, options.eta)
-        compensation = _cautious(whole)
+        compensation = _cautious(whole, gain or Gain.from_compensation(whole))
         measurements = compensation.without_loads(measurements)
     if not options.learns:
         return compensation
@@ -245,12 +240,11 @@ def _gaps(identification: Identification) -> Iterator[str]:
         yield f"outliers, not used for learning: lines {', '.join(map(str, identification.outlier_lines))}"
 
 
-def _cautious(compensation: Compensation) -> Compensation:
+def _cautious(compensation: Compensation, gain: Gain | None) -> Compensation:
     """Return a compensation reduced to what is certain enough.
 
     The rest stays uncertain: it is added to the covariance.
     """
-    gain = Gain.from_compensation(compensation)
     if gain is None or compensation.covariance is None:
         return compensation
     values = gain.sure_values()

@@ -473,7 +473,8 @@ def main() -> None:
         for seed in range(given.first, given.first + given.machines):
             for robot in given.robots:
                 for richness in given.richness:
-                    for setup in given.setups:
+                    # only machines of the tripod's kind have encoders
+                    for setup in (each for each in given.setups if each != "encoders" or robot == "tripod"):
                         for method in given.methods:
                             if (robot, str(seed), str(richness), setup, method) in done:
                                 continue
