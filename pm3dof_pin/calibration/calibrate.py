@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from numpy.typing import ArrayLike
 
@@ -201,9 +201,9 @@ def calibrate(
                     "cannot be assembled there"
                 )
                 seen, failure = seen[kept], None
-    if undeclared and (failure is not None or against):
-        other = _judged_with_free_zeros(seen, errors, options)
-        if other is not None:
+    if undeclared and failure is not None:
+        other = _with_free_zeros(seen, errors, options)
+        if other is not None and not other.against:
             (fitted, held_out, against), failure = other, None
     if failure is None and undeclared and (zeros := _zeros_in_words(fitted)):
         warnings.append(zeros)
@@ -240,39 +240,50 @@ def calibrate(
     return Calibration(**parts, held_out=held_out, validation=judged, refusals=tuple(against))
 
 
-def _best_judged(
-    seen: Measurements, errors: GeometricErrors, options: Options, *, undeclared: bool
-) -> tuple[Fit, HeldOut | None, list[str]]:
-    """Return a fit with its cross-validation, and what speaks against it; raises as :func:`fit`.
+class _Judged(NamedTuple):
+    """A fit, judged."""
 
-    With undeclared tolerances, the drives' zeros are free if the parameters do not describe the machine otherwise.
+    fitted: Fit
+    held_out: HeldOut | None  #: its cross-validation
+    against: list[str]  #: what speaks against it
+
+
+def _best_judged(seen: Measurements, errors: GeometricErrors, options: Options, *, undeclared: bool) -> _Judged:
+    """Fit and judge; raises as :func:`fit`.
+
+    With undeclared tolerances, nobody said that the drives are homed to absolute marks: their zeros are free if that
+    leaves clearly smaller residuals, where these are not noise, or if something speaks against the fit otherwise.
     """
-    first = fit(seen, errors, options, quiet=True)
-    other = _judged_with_free_zeros(seen, errors, options, first) if undeclared and not first.scatters else None
-    return other or _judged(first)
+    first, other = fit(seen, errors, options, quiet=True), None
+    if undeclared and not first.scatters:
+        other = _with_free_zeros(seen, errors, options, first)
+        if other is not None and not other.against:
+            return other
+    judged = _judged(first)
+    if undeclared and judged.against and other is None:
+        other = _with_free_zeros(seen, errors, options)
+    return judged if other is None or other.against else other
 
 
-def _judged_with_free_zeros(
+def _with_free_zeros(
     seen: Measurements, errors: GeometricErrors, options: Options, first: Fit | None = None
-) -> tuple[Fit, HeldOut | None, list[str]] | None:
-    """Return a fit with drives that nobody said are homed to absolute marks.
+) -> _Judged | None:
+    """Fit with free zeros of the drives, and judge; None if that fails, or leaves no smaller residuals than the first.
 
-    None if it does not leave clearly smaller residuals than the first one, or if something speaks against it.
+    Such residuals are smaller by :data:`_CLEARLY`.
     """
     with contextlib.suppress(*_FAILURES):
         other = fit(seen, with_free_zeros(errors), options, quiet=True)
         if first is None or other.identification.noise_factor < _CLEARLY * first.identification.noise_factor:
-            judged = _judged(other)
-            return None if judged[2] else judged
+            return _judged(other)
     return None
 
 
-def _judged(fitted: Fit) -> tuple[Fit, HeldOut | None, list[str]]:
-    """Return a fit with its cross-validation, and what speaks against it."""
+def _judged(fitted: Fit) -> _Judged:
     held_out = HeldOut.from_cross_validation(fitted) if fitted.can_be_judged else None
     if held_out is not None:
         fitted = fitted.with_scatter(held_out.scatter)
-    return fitted, held_out, refusals(fitted, held_out)
+    return _Judged(fitted, held_out, refusals(fitted, held_out))
 
 
 def _zeros_in_words(fitted: Fit) -> str:
