@@ -357,7 +357,7 @@ def test_plugins_of_ros2_control(name: str, tmp_path: Path) -> None:
         main = main.replace(word, value)
     (tmp_path / "main.cpp").write_text(main)
     subprocess.run(
-        ["gcc", "-std=c99", "-O1", "-c", "-Iinclude", f"src/{name}.c", "-o", "core.o"], cwd=tmp_path, check=True
+        ["gcc", "-std=c99", "-O0", "-c", "-Iinclude", f"src/{name}.c", "-o", "core.o"], cwd=tmp_path, check=True
     )
     flags = ["-std=c++17", "-Wall", "-Wextra", "-O0", "-I.", "-Iinclude", "-isystem", str(_eigen())]
     subprocess.run(["g++", *flags, "main.cpp", "core.o", "-o", "main"], cwd=tmp_path, check=True)

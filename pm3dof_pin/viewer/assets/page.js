@@ -571,7 +571,7 @@ const pm3dof = hasWebGL && (() => {
     socket.onmessage = (event) => receive(JSON.parse(event.data));
     socket.onclose = () => {
       showNote(["The program that served this page has ended.", "The page remains usable, and returns to the program when it runs again."]);
-      comeBack();
+      setTimeout(comeBack, AGAIN); // one that is ending may still accept a connection, but no longer serve the page
     };
   }
 
