@@ -45,11 +45,11 @@ class Gain:
     corrected: Array  #: T, shape=(n, 6, parameters)
 
     @classmethod
-    def from_compensation(cls, compensation: Compensation) -> Gain | None:
-        """Return the gain of identified parameters over the workspace; None for a method without them."""
+    def from_compensation(cls, compensation: Compensation) -> Gain:
+        """Return the gain over the workspace of a compensation by identified parameters."""
         values, covariance = compensation.values, compensation.known_covariance
-        if values is None or covariance is None:
-            return None
+        assert values is not None
+        assert covariance is not None
         poses = reachable_poses(compensation.errors.robot, _POSES, np.random.default_rng(0))
         # near singular poses the calibrated machine may not reach what the described one does
         model = compensation.model_poses(poses, on_failure="nan")

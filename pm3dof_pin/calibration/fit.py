@@ -191,7 +191,8 @@ def compensation_from(
 ) -> Compensation:
     """Combine identified parameters (None for the robot as described) with a part learned from measurements.
 
-    The parameters' correction is reduced to what is certain enough: see :mod:`pm3dof_pin.calibration.caution`.
+    The parameters' correction is reduced to what is certain enough: see :mod:`pm3dof_pin.calibration.caution`. Its gain
+    is computed unless it is given.
 
     Raises:
         InvalidValueError: too few measurements to learn from.
@@ -240,13 +241,12 @@ def _gaps(identification: Identification) -> Iterator[str]:
         yield f"outliers, not used for learning: lines {', '.join(map(str, identification.outlier_lines))}"
 
 
-def _cautious(compensation: Compensation, gain: Gain | None) -> Compensation:
+def _cautious(compensation: Compensation, gain: Gain) -> Compensation:
     """Return a compensation reduced to what is certain enough.
 
     The rest stays uncertain: it is added to the covariance.
     """
-    if gain is None or compensation.covariance is None:
-        return compensation
+    assert compensation.covariance is not None
     values = gain.sure_values()
     left_out = np.zeros(len(compensation.covariance))
     left_out[: len(values)] = gain.identified - values

@@ -61,7 +61,7 @@ class GCodeLog:
         """Read the last M665 and M666, and all heights after them.
 
         Raises:
-            MeasurementError: heights and points of RepRapFirmware differ in number, a word is no number, or M665 has
+            MeasurementError: heights and points of RepRapFirmware differ in number, a word is not a number, or M665 has
                 neither one arm length nor three.
         """
         geometry: dict[str, float] = {}

@@ -566,20 +566,25 @@ const pm3dof = hasWebGL && (() => {
 
   // ---------------------------------------------------------------------------------------------- start
 
+  const openSocket = () => new WebSocket(`${location.protocol === "https:" ? "wss:" : "ws:"}//${location.host}/socket`);
+
   function connect() {
-    const socket = new WebSocket(`${location.protocol === "https:" ? "wss:" : "ws:"}//${location.host}/socket`);
+    const socket = openSocket();
     socket.onmessage = (event) => receive(JSON.parse(event.data));
     socket.onclose = () => {
       showNote(["The program that served this page has ended.", "The page remains usable, and returns to the program when it runs again."]);
-      setTimeout(comeBack, AGAIN); // one that is ending may still accept a connection, but no longer serve the page
+      comeBack();
     };
   }
 
-  // Load the page anew, perhaps of another robot, as soon as a program serves it again.
+  // Load the page anew, perhaps of another robot, once a program serves it again. Not at once: one that is ending may
+  // still accept a connection, but no longer serve the page.
   function comeBack() {
-    const socket = new WebSocket(`${location.protocol === "https:" ? "wss:" : "ws:"}//${location.host}/socket`);
-    socket.onopen = () => location.reload();
-    socket.onerror = () => setTimeout(comeBack, AGAIN);
+    setTimeout(() => {
+      const socket = openSocket();
+      socket.onopen = () => location.reload();
+      socket.onerror = comeBack;
+    }, AGAIN);
   }
 
   const start = () => {
