@@ -60,9 +60,9 @@ class _DriveMotions(NamedTuple):
         at_motions = product(self.motions.T, forces[:, None])
         return (at_motions if self.shares is None else product(self.shares.T, at_motions))[:, 0]
 
-    def inertia(self, masses: Objects) -> Objects:
-        """Return S^T M S for a mass matrix of all joints, shape=(nv, nv)."""
-        at_motions = _symmetric(self.motions, product(masses, self.motions))
+    def inertia(self, masses: Masses) -> Objects:
+        """Return S^T M S."""
+        at_motions = _symmetric(self.motions, masses.times(self.motions))
         return at_motions if self.shares is None else _symmetric(self.shares, product(at_motions, self.shares))
 
 
@@ -148,7 +148,7 @@ def _motions(tree: Tree, robot: Robot, model: pin.Model, doubt: Doubt) -> Object
 
 def _inertia(tree: Tree, robot: Robot, model: pin.Model, doubt: Doubt) -> Objects:
     """Record the mass matrix of the actuated joints, shape=(u, u) [kg, kg m, kg m^2]."""
-    return _drive_motions(tree, robot, doubt).inertia(Masses(tree, model).matrix)
+    return _drive_motions(tree, robot, doubt).inertia(Masses(tree, model))
 
 
 def _vibrations(roots: Roots, model: pin.Model) -> Objects:

@@ -46,8 +46,9 @@ from pm3dof_pin.programs.elimination import (
     zeros,
 )
 from pm3dof_pin.programs.graph import Graph, Scalar, Truth, absolute, is_zero, select, sqrt
+from pm3dof_pin.programs.motion_equations import joint_columns, widened
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.tool_motion import Branch, Reading, branches, joint_columns, response, widened
+from pm3dof_pin.programs.tool_motion import Branch, Reading, branches, response
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Objects

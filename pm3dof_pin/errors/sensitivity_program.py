@@ -16,8 +16,9 @@ from pm3dof_pin.programs.elimination import Doubt, zeros
 from pm3dof_pin.programs.graph import Graph, select
 from pm3dof_pin.programs.joints import Transform
 from pm3dof_pin.programs.llvm import Compiled
+from pm3dof_pin.programs.motion_equations import joint_columns
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.tool_motion import Displacement, joint_columns, response_to_displacements
+from pm3dof_pin.programs.tool_motion import Displacement, response_to_displacements
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects, Vector

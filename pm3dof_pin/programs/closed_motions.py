@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.programs.elimination import Doubt, eliminate, rank, solve_upper, without_zeros, zeros
+from pm3dof_pin.programs.elimination import (
+    Doubt,
+    Elimination,
+    eliminate,
+    identity,
+    rank,
+    solve_upper,
+    without_zeros,
+    zeros,
+)
 from pm3dof_pin.programs.graph import is_zero
 from pm3dof_pin.programs.loops import loop_equations
+from pm3dof_pin.programs.motion_equations import joint_columns, motion_equations
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
 
@@ -28,16 +38,16 @@ def closed_motions(
     tree: Tree, driven: Sequence[int], passive: Sequence[int], unit: float, doubt: Doubt
 ) -> ClosedMotions:
     """Record the motions of a mechanism, by a unit of length [m]; joints neither driven nor passive are locked."""
-    rows = constraint_rows(tree, unit)
-    count, nv = len(passive), rows.shape[1]
-    result = eliminate(rows[:, [*passive, *driven]], range(count), doubt)
-    columns = list(result.columns)
-    others = [*result.dropped, *range(count, count + len(driven))]
-    followed = solve_upper(result.pivot_rows[:, columns], -result.pivot_rows[:, others])
-    motions = zeros(nv, len(others))
-    motions[[passive[c] for c in columns]] = followed
-    for k, c in enumerate(others):
-        motions[passive[c] if c < count else driven[c - count], k] = 1.0
+    equations = motion_equations(tree, unit, joint_columns(tree, passive), joint_columns(tree, driven))
+    count = equations.unknown
+    result = eliminate(equations.rates, range(count), doubt)
+    sources = range(count, count + len(driven))
+    motions = _motions(
+        result,
+        [*result.dropped, *sources],
+        dict(zip(sources, driven, strict=True)) | dict(enumerate(passive)),
+        len(tree.screws),
+    )
     relations = without_zeros(result.rest[:, count:], doubt)
     relations = relations[[not all(map(is_zero, row)) for row in relations]]
     if rank(relations) < len(relations):
@@ -52,13 +62,21 @@ def all_motions(tree: Tree, order: Sequence[int], unit: float, doubt: Doubt) -> 
     Joints follow whichever others their own loops leave free, so that a platform on many legs takes operations in
     proportion to these. `order` are the joints' entries of v; of equally sparse ones, the last follow first.
     """
-    rows = constraint_rows(tree, unit)
-    result = eliminate(rows[:, order], range(len(order)), doubt)
-    free, following = list(result.dropped), list(result.columns)
-    motions = zeros(rows.shape[1], len(free))
-    motions[[order[c] for c in following]] = solve_upper(result.pivot_rows[:, following], -result.pivot_rows[:, free])
-    for k, c in enumerate(free):
-        motions[order[c], k] = 1.0
+    equations = motion_equations(tree, unit, joint_columns(tree, order))
+    result = eliminate(equations.rates, range(equations.unknown), doubt)
+    return _motions(result, result.dropped, dict(enumerate(order)), len(tree.screws))
+
+
+def _motions(result: Elimination, given: Sequence[int], joints: Mapping[int, int], count: int) -> Objects:
+    """Return the motions of all joints at unit rate of each of some columns, shape=(count, number of these).
+
+    `joints` are the entries of v by column; other columns are rates of free motions.
+    """
+    followed = solve_upper(result.pivot_rows[:, list(result.columns)], -result.pivot_rows[:, list(given)])
+    motions = zeros(count, len(given))
+    for column, rates in [*zip(result.columns, followed, strict=True), *zip(given, identity(len(given)), strict=True)]:
+        if column in joints:
+            motions[joints[column]] = rates
     return motions
 
 

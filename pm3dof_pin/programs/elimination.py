@@ -151,8 +151,7 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
                 sizes[c] = typical(lengths) / usual[c]
         if not sizes:
             break
-        enough = _SHARE * max(sizes.values())
-        chosen = min((c for c, size in sizes.items() if size >= enough), key=lambda c: (len(fronts[c]), -c))
+        chosen = _pivot(rows, fronts, sizes)
         touched: set[int] = set()
         kept: list[int] = []
         groups = _alike(fronts[chosen], rows)
@@ -179,6 +178,18 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
         tuple(places),
         tuple(active),
     )
+
+
+def _pivot(rows: Sequence[Sequence[Scalar]], fronts: Mapping[int, list[int]], sizes: Mapping[int, float]) -> int:
+    """Return the sparsest column, of equals the last, that is not much shorter than the others in its rows."""
+    ordered = sorted(sizes, key=lambda c: (len(fronts[c]), -c))
+    for c in ordered:
+        if sizes[c] >= _SHARE:  # of one
+            return c
+        near = (other for other in ordered if any(not is_zero(rows[i][other]) for i in fronts[c]))
+        if sizes[c] >= _SHARE * max(sizes[other] for other in near):
+            return c
+    raise AssertionError("the longest column is not shorter than others")
 
 
 def _alike(front: Sequence[int], rows: Sequence[Sequence[Scalar]]) -> list[list[int]]:

@@ -11,15 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.programs.elimination import zeros
+from pm3dof_pin.programs.elimination import product, zeros
 from pm3dof_pin.programs.graph import Scalar, is_zero
-from pm3dof_pin.programs.joints import Screw, cross, objects
+from pm3dof_pin.programs.joints import cross, objects
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.tolerances import LAST_DIGITS
 from pm3dof_pin.typing import Objects
 
 _ENTRIES = ("m", "h0", "h1", "h2", "I00", "I01", "I11", "I02", "I12", "I22")  # in Pinocchio's order
 _ORIGIN = objects([0.0, 0.0, 0.0])
+_PAIR = 11  # operations for an entry of the mass matrix
+_BODY = 60  # operations for a body in each motion
 
 
 def mass_numbers(model: pin.Model) -> dict[str, float]:
@@ -48,11 +50,10 @@ class _Body:
     def __add__(self, other: _Body) -> _Body:
         return _Body(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
 
-    def momentum(self, screw: Screw) -> tuple[Objects, Objects]:
-        """Return momentum and angular momentum about the world's origin at unit rate of a joint."""
-        velocity = screw.velocity(_ORIGIN)
-        linear = self.mass * velocity + cross(screw.angular, self.moment)
-        return linear, self.inertia @ screw.angular + cross(self.moment, velocity)
+    def momentum(self, velocity: Objects, angular: Objects) -> Objects:
+        """Return momentum and angular momentum about the world's origin, shape=(6,), at its velocity there."""
+        linear = self.mass * velocity + cross(angular, self.moment)
+        return np.concatenate([linear, self.inertia @ angular + cross(self.moment, velocity)])
 
 
 class Masses:
@@ -63,36 +64,65 @@ class Masses:
         self._numbers: dict[str, Scalar] = {
             name: tree.graph.parameter(name, value) if value else 0.0 for name, value in mass_numbers(model).items()
         }
-        self._carried = [self._body(index) for index in range(model.njoints)]
+        self._bodies = [self._body(index) for index in range(model.njoints)]
+        self._parents = list(model.parents)
+        self._carried = self._bodies.copy()
         for index in reversed(range(1, model.njoints)):
             self._carried[model.parents[index]] += self._carried[index]
         self._owner = [
             index for index in range(1, model.njoints) for _ in range(model.joints[index].nv)
         ]  # joint of each entry of v
+        #: twists [v; omega] of what each entry of v moves, about the world's origin
+        self._twists = [np.concatenate([screw.velocity(_ORIGIN), screw.angular]) for screw in tree.screws]
 
     @property
     def weights(self) -> Objects:
         """Generalised forces that hold the tree of bodies against gravity, shape=(nv,) [N, N m]."""
         gravity = objects([self._numbers[f"gravity/{k}"] for k in range(3)])
-        momenta = (self._carried[owner].momentum(s)[0] for owner, s in zip(self._owner, self._tree.screws, strict=True))
-        return objects([-(gravity @ momentum) for momentum in momenta])
+        momenta = (self._carried[k].momentum(*_split(s)) for k, s in zip(self._owner, self._twists, strict=True))
+        return objects([-(gravity @ momentum[:3]) for momentum in momenta])
 
     @property
     def matrix(self) -> Objects:
         """Mass matrix of the tree of bodies and of rotors, shape=(nv, nv) [kg, kg m, kg m^2]."""
-        screws, parents = self._tree.screws, self._tree.mechanism.model.parents
-        matrix = zeros(len(screws), len(screws))
+        matrix = zeros(len(self._owner), len(self._owner))
         for k, owner in enumerate(self._owner):
-            linear, angular = self._carried[owner].momentum(screws[k])
-            above, joint = [], owner
-            while joint:
-                above += [i for i, other in enumerate(self._owner) if other == joint]
-                joint = parents[joint]
-            for i in above:
-                matrix[i, k] = matrix[k, i] = screws[i].velocity(_ORIGIN) @ linear + screws[i].angular @ angular
-        for k in range(len(screws)):
+            momentum = self._carried[owner].momentum(*_split(self._twists[k]))
+            for i in self._above(owner):
+                matrix[i, k] = matrix[k, i] = self._twists[i] @ momentum
+        for k in range(len(matrix)):
             matrix[k, k] = matrix[k, k] + self._numbers[f"armature/{k}"]
         return matrix
+
+    def times(self, motions: Objects) -> Objects:
+        """Return the mass matrix times motions of all joints, shape=(nv, m).
+
+        Few motions of long chains take fewer operations body by body, as their number does not grow with the square of
+        that of the joints.
+        """
+        pairs, count = sum(len(self._above(owner)) for owner in self._owner), motions.shape[1]
+        if pairs * (_PAIR + 2 * count) <= count * len(motions) * _BODY:
+            return product(self.matrix, motions)
+        result = zeros(*motions.shape)
+        for c, rates in enumerate(motions.T):
+            twists = [zeros(1, 6)[0]]
+            for index in range(1, len(self._bodies)):
+                own = [self._twists[k] * rates[k] for k, owner in enumerate(self._owner) if owner == index]
+                twists.append(sum(own, twists[self._parents[index]]))
+            momenta = [body.momentum(*_split(twist)) for body, twist in zip(self._bodies, twists, strict=True)]
+            for index in reversed(range(1, len(momenta))):
+                momenta[self._parents[index]] = momenta[self._parents[index]] + momenta[index]
+            for k, owner in enumerate(self._owner):
+                result[k, c] = self._twists[k] @ momenta[owner] + self._numbers[f"armature/{k}"] * rates[k]
+        return result
+
+    def _above(self, joint: int) -> list[int]:
+        """Return the entries of v of a joint and of those that carry it."""
+        result: list[int] = []
+        while joint:
+            result += [k for k, owner in enumerate(self._owner) if owner == joint]
+            joint = self._parents[joint]
+        return result
 
     def _body(self, index: int) -> _Body:
         if not index:
@@ -107,6 +137,10 @@ class Masses:
         inertia = placement.rotation @ objects([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ placement.rotation.T
         shift = turned + turned + m * place  # parallel axes: the moment about the joint counts twice
         return _Body(m, turned + m * place, inertia + _across(place, shift))
+
+
+def _split(twist: Objects) -> tuple[Objects, Objects]:
+    return twist[:3], twist[3:]
 
 
 def _across(a: Objects, b: Objects) -> Objects:

@@ -1,11 +1,9 @@
 """The motion of a frame as a linear function of sources: spring deflections, commands, geometric errors.
 
-Unknowns are the frame's twist x, the rates of passive joints and the sources. The equations are the chain from the
-ground to the frame, x - J v = 0, and zero relative velocity of the two frames of every closure. The velocity of a frame
-that the same joints carry is expressed by x instead of these joints: a row operation that keeps the chain's joints out
-of the closures. Equations then connected through passive joints and sources form a *branch*. From each branch the
-passive joints are eliminated by orthogonal transformations, sparsest first; the remaining equations describe how the
-branch holds the frame.
+Unknowns are the frame's twist x, the rates of passive joints and the sources, in the equations of
+:mod:`pm3dof_pin.programs.motion_equations`. Those connected through passive joints and sources form a *branch*. From
+each branch the passive joints are eliminated by orthogonal transformations, sparsest first; the remaining equations
+describe how the branch holds the frame.
 
 Lengths are measured in a power of two near the mechanism's characteristic length, so that numbers compared with 1 are
 of that size.
@@ -16,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias
 
 import numpy as np
 
@@ -35,24 +32,10 @@ from pm3dof_pin.programs.elimination import (
     zeros,
 )
 from pm3dof_pin.programs.graph import is_zero, sqrt
-from pm3dof_pin.programs.joints import Screw, Transform, cross, objects
-from pm3dof_pin.programs.loops import apply_rows, closure_frames, held_twist, loop_equations
+from pm3dof_pin.programs.joints import Transform, cross, objects
+from pm3dof_pin.programs.motion_equations import Block, Column, motion_equations, widened
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
-
-
-@dataclass(frozen=True, eq=False)
-class Column:
-    """The screw at unit rate of a joint or source, and which closure frames it moves, and whether the tool frame."""
-
-    screw: Screw
-    frames: frozenset[str]
-    joint: int | None = None  #: its entry of v, if it is the rate of a joint
-
-    @property
-    def slides(self) -> bool:
-        """Whether it is purely translational; its rate is then in units of length."""
-        return all(map(is_zero, self.screw.angular))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +57,6 @@ class Branch:
     relations: Objects  #: equations among its sources, shape=(k, number of its sources)
     weighted: Objects  #: motion in other variables than its sources, see :func:`branches`, shape=(n, w)
     weighted_relations: Objects  #: relations in these, shape=(k, w)
-
-
-def joint_columns(tree: Tree, indices: Iterable[int], frame: str) -> list[Column]:
-    """Return the columns of joint rates by their index in v."""
-    loops = tree.mechanism.closures
-    names = {name: tree.support(name) for name in {frame, *(n for loop in loops for n in (loop.frame_a, loop.frame_b))}}
-    return [
-        Column(tree.screws[k], frozenset(name for name, support in names.items() if k in support), k) for k in indices
-    ]
 
 
 def branches(
@@ -107,8 +81,8 @@ def branches(
         weights: function of the numbers of a branch's sources and its equations, shape=(m, number of its sources),
             that returns the equations in other variables, shape=(m, w); the sources themselves only decide ranks.
     """
-    twist, rates, _ = _rows(tree, frame, [*passive, *sources])
-    return _branches(twist, rates, len(passive), doubt, joined, weights)
+    equations = motion_equations(tree, tree.mechanism.length_unit, passive, sources, frame)
+    return _branches(equations.twist, equations.rates, equations.unknown, doubt, joined, weights)
 
 
 def _branches(
@@ -185,11 +159,12 @@ def response_to_displacements(
     Raises:
         ProgramError: see :func:`response`.
     """
-    twist, rates, maps = _rows(tree, frame, [*passive, *drives])
-    held = _branches(twist, np.hstack([rates, identity(len(rates))]), len(passive), doubt)
     count, unit, tool = len(drives), tree.mechanism.length_unit, tree.frame(frame).translation
+    equations = motion_equations(tree, unit, passive, drives, frame)
+    size = len(equations.rates)
+    held = _branches(equations.twist, np.hstack([equations.rates, identity(size)]), equations.unknown, doubt)
     solve = partial(_shared_solution, drives=count) if shared else _solution
-    solution, strains = solve(frame, held, count + len(rates), (), doubt)
+    solution, strains = solve(frame, held, count + size, (), doubt)
     _require_zero(strains[:, :count], doubt)
     by_drives = _scaled(solution[:, :count], [drive.slides for drive in drives], tree)
     by_rows = np.vstack([solution, strains])[:, count:]
@@ -197,7 +172,7 @@ def response_to_displacements(
     results = []
     for moved in displacements:
         if moved.frames not in covectors:
-            covectors[moved.frames] = _covectors(tree, by_rows, moved.frames, frame, maps)
+            covectors[moved.frames] = _covectors(by_rows, moved.frames, equations.blocks)
         along, about = np.split(covectors[moved.frames], 2, axis=1)
         lever = (tool - moved.place.translation) * (1.0 / unit)
         local = [along * (1.0 / unit)]
@@ -212,13 +187,12 @@ def response_to_displacements(
     return _scaled(found[:6], [False] * found.shape[1], tree), by_drives
 
 
-def _covectors(tree: Tree, by_rows: Objects, moved: frozenset[str], frame: str, maps: Sequence[ClosureMap]) -> Objects:
+def _covectors(by_rows: Objects, moved: frozenset[str], blocks: Iterable[Block]) -> Objects:
     """Return what a scaled twist at the tool of everything that moves some frames gives, shape=(n, 6)."""
-    result = by_rows[:, :6] * -1.0 if frame in moved else zeros(len(by_rows), 6)
-    for loop, (rows, factor, twist) in zip(tree.mechanism.closures, maps, strict=True):
-        relative = float(loop.frame_b in moved) - float(loop.frame_a in moved) - factor * float(frame in moved)
-        if relative:
-            result = result + product(by_rows[:, rows], twist) * relative
+    result = zeros(len(by_rows), 6)
+    for block in blocks:
+        if factor := sum(block.terms[name] for name in moved & block.terms.keys()):
+            result = result + product(by_rows[:, block.rows], block.taken) * factor
     return result
 
 
@@ -303,62 +277,6 @@ def _scaled(solution: Objects, are_lengths: Sequence[bool], tree: Tree) -> Objec
         if is_length:
             twists[:, k] = twists[:, k] * (1.0 / unit)
     return twists
-
-
-def widened(rows: Objects, columns: Sequence[int], count: int) -> Objects:
-    """Expand rows over some columns to all columns, shape=(m, count)."""
-    wide = zeros(len(rows), count)
-    wide[:, list(columns)] = rows
-    return wide
-
-
-ClosureMap: TypeAlias = tuple[slice, float, Objects]
-"""Rows of a closure, the part of the frame's twist in them, and their product with a scaled twist at the frame."""
-
-
-def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, Objects, list[ClosureMap]]:
-    """Return the equations as coefficients of the frame's twist and of the columns, scaled, shape=(m, 6) and (m, n)."""
-    unit = tree.mechanism.length_unit
-    tool = tree.frame(frame).translation
-    twists, rates = (
-        [identity(6)],
-        [_velocities(columns, [-1.0 * (frame in c.frames) for c in columns], tool, unit)],
-    )
-    maps: list[ClosureMap] = []
-    for index, loop in enumerate(tree.mechanism.closures):
-        signs = {name: [float(name in c.frames) for c in columns] for name in (loop.frame_a, loop.frame_b, frame)}
-        relative = np.subtract(signs[loop.frame_b], signs[loop.frame_a])
-        choices = {factor: relative - factor * np.array(signs[frame]) for factor in (0.0, 1.0, -1.0)}
-        factor = min(choices, key=lambda choice: np.count_nonzero(choices[choice]))
-        a, b = closure_frames(tree, index)
-        held = held_twist(loop.kind, a, b)
-        point = (a if factor < 0.0 and isinstance(held, int) else b).translation
-        lever = (point - tool) * (1.0 / unit)
-        twist = identity(6)
-        for k in range(3):
-            twist[:3, 3 + k] = cross([float(k == i) for i in range(3)], lever)
-        own, first = apply_rows(held, twist), sum(map(len, twists))
-        maps.append((slice(first, first + len(own)), factor, own))
-        twists.append(own * factor)
-        rates.append(apply_rows(held, _velocities(columns, choices[factor], point, unit)))
-    for equation in loop_equations(tree)[len(tree.mechanism.closures) :]:
-        twists.append(zeros(1, 6))
-        rates.append(zeros(1, len(columns)))
-        for k, column in enumerate(columns):
-            if column.joint is not None and column.joint in equation.columns:
-                slope = equation.columns[column.joint][0] * (unit if column.slides else 1.0)
-                rates[-1][0, k] = slope if equation.is_angular[0] else slope * (1.0 / unit)
-    return np.vstack(twists), np.vstack(rates), maps
-
-
-def _velocities(columns: Sequence[Column], factors: Iterable[float], point: Objects, unit: float) -> Objects:
-    """Return the twists of a point for columns times factors, shape=(6, n)."""
-    rows = zeros(6, len(columns))
-    for k, (column, factor) in enumerate(zip(columns, factors, strict=True)):
-        if factor:
-            rows[:3, k] = column.screw.velocity(point) * (factor if column.slides else factor / unit)
-            rows[3:, k] = column.screw.angular * factor
-    return rows
 
 
 def _components(rates: Objects, joined: Iterable[Sequence[int]]) -> list[tuple[list[int], list[int]]]:
