@@ -8,8 +8,9 @@ the coordinates' rates, whose determinant is the ratio of the two. Two closed co
 all these determinants have the same signs.
 
 Serial arms have no branches here: their singular poses may be passed. Where the drives are more or fewer than the
-coordinates, or do not determine these, there is no sign of A: poses are told apart by the loops' determinants alone. An
-overconstrained loop has a sign only if its equations are the same everywhere, as in a planar machine.
+coordinates, or do not determine these, there is no sign of A: poses are told apart by the loops' determinants alone. If
+drives can move while the tool rests, any pose of a branch serves, as of an arm. An overconstrained loop has a sign only
+if its equations are the same everywhere, as in a planar machine.
 
 Programs compute the same numbers, see :func:`~pm3dof_pin.programs.closing.branch_number`; here they are computed from
 Pinocchio's Jacobians.

@@ -50,6 +50,7 @@ _DAMPED_STEPS = 50  # per round
 _DAMPED_ROUNDS = 20
 _AT_REST = 0.99  # ratio of squared errors after and before a round that has settled
 _DAMPING = 0.1  # of the first damped step
+_FEW = 100  # poses that the damped solver on Pinocchio's Jacobians may find in a second or two
 _MAX_SHARE = 20.0  # largest weight in a prediction; that of equally spaced poses is 6
 _AT_ONCE = 4096  # poses per block, to stay in cache
 
@@ -140,10 +141,12 @@ class Continuation:
         """Walk from q to the targets, in place; permitted damped steps start from there and from home."""
         found, ends = self._reached(q, targets, keep_branch=keep_branch)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
-        if self._robot.has_branches and failed.size:
+        if self._robot.has_branches and failed.size and not self._has_null_motions:
             failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]  # open at the start
         if failed.size:
             found[failed] = self._damped(ends[failed], targets[failed], home_too=home_too)
+            if keep_branch and self._robot.has_branches and self._has_null_motions:
+                found[failed[self._branches(found[failed]) != self._branches(q[failed])]] = np.nan
         q[:] = found
 
     def _reached(
@@ -165,6 +168,10 @@ class Continuation:
         return numbers
 
     @cached_property
+    def _has_null_motions(self) -> bool:
+        return self._robot.has_null_motions(self._coordinates)
+
+    @cached_property
     def _home_branch(self) -> np.int64:
         """Number of home's branch in the programs, which are the prototype's; zero unless its home is another."""
         return np.int64(self._branches(self._home[None])[0])
@@ -184,6 +191,8 @@ class Continuation:
             rows = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(numbers).all(axis=1))
             ends, moving = self._damped_ends(starts[rows], numbers[rows])
             closed = self._residuals(ends, targets[rows]) <= self._robot.closure_tolerance
+            if self._has_null_motions and len(rows) <= _FEW:  # a singular home holds damped steps up
+                moving[:] = True
             undecided = ~closed & moving
             for k in np.flatnonzero(undecided):
                 result = assemble_at(self._robot, self._coordinates, targets[rows[k]], starts[rows[k]])
@@ -291,7 +300,10 @@ class Continuation:
                 return
             untried &= ~frontier
             found = starts[frontier]
-            self._solve_each(found, values[frontier], keep_branch=keep_branch)
+            if self._has_null_motions:  # damped steps of a whole grid take too long
+                found = self._reached(found, values[frontier], keep_branch=keep_branch)[0]
+            else:
+                self._solve_each(found, values[frontier], keep_branch=keep_branch)
             q[frontier] = found
 
     def _given_numbers(self, values: Array) -> Array:

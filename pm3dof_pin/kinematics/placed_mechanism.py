@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -212,6 +212,13 @@ class PlacedMechanism(Mechanism):
             except (ConvergenceError, InvalidValueError):
                 pass  # the loops do not close: the solvers report it
         return list(range(len(self.commands)))
+
+    def has_null_motions(self, coordinates: Sequence[Coordinate]) -> bool:
+        """Return whether the drives can move while coordinates of the tool stay, so that poses there are many.
+
+        As of a serial arm, any of them serves then, if the loops are assembled alike.
+        """
+        return any(c.tool is not None for c in coordinates) and len(coordinates) < len(self.placing_drives)
 
     def _tool_coordinates(self) -> tuple[Coordinate, ...]:
         """Return components of the tool's placement that describe a pose better than the commands, if any."""

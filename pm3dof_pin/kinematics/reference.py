@@ -136,11 +136,13 @@ class _Walk:
         """Return the pose at the target, NaN if none is found."""
         robot, q = self._robot, self._start
         start = robot.configuration(q)
-        if not robot.has_branches or start.closure_residual > self._robot.closure_tolerance:
+        is_open = start.closure_residual > self._robot.closure_tolerance
+        branch = None if is_open or self._branches is None else self._branches.number(q)
+        if not robot.has_branches or is_open or robot.has_null_motions(self._coordinates):
             guesses = (q,) if self._home is None else (q, self._home)
             results = (assemble_at(robot, self._coordinates, target, guess) for guess in guesses)
-            return next((result.q for result in results if result.converged), np.full_like(q, np.nan))
-        branch = None if self._branches is None else self._branches.number(q)
+            kept = (result.q for result in results if result.converged and self._keeps(branch, result, is_end=True))
+            return next(kept, np.full_like(q, np.nan))
         origin = _read(robot, self._coordinates, q)
         way, turns = target - origin, coordinate_periods(robot, self._coordinates)
         angles = np.isfinite(turns)

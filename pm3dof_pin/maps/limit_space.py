@@ -84,7 +84,8 @@ def robot_space(
 
     Raises:
         InvalidValueError: an unknown coordinate, none or more than three; or a robot that takes more than 150,000
-            operations for a Newton step, or has more than 100 joints and no program.
+            operations for a Newton step, or has more than 100 joints and no program, or has loops and more drives than
+            the tool has motions.
         ConvergenceError: the loops do not close at home.
     """
     robot.assemble()  # at home, where searches start
@@ -93,6 +94,10 @@ def robot_space(
         size = f"{robot.name}, of {solver.operations:,} operations a Newton step"
         raise InvalidValueError("robot", size, f"at most {_MOST_OPERATIONS:,} for a workspace")
     require_quick_poses(robot, "boundaries")
+    if robot.has_branches and robot.has_null_motions(robot.coordinates):
+        drives = f"{robot.name}, whose {len(robot.placing_drives)} drives can move while the tool rests"
+        expected = "loops whose poses follow from the coordinates: walks from home do not find all of these"
+        raise InvalidValueError("robot", drives, expected)
     chosen = names or _default_names(robot)
     if not 1 <= len(set(chosen)) == len(chosen) <= _MAX_COORDINATES:
         expected = "one, or two for the sections, and optionally one to stack them"

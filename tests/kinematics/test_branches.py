@@ -17,6 +17,7 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import (
     AmbiguousHomeError,
     ConvergenceError,
+    InvalidValueError,
     PM3DofError,
     SingularConfigurationError,
     UnreachablePoseError,
@@ -25,6 +26,7 @@ from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.branches import branches_of
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.limit_space import robot_space
 from pm3dof_pin.programs.checks import checks_program
 from pm3dof_pin.programs.closing import Task, closing_program
 
@@ -216,6 +218,23 @@ def test_a_chain_with_more_drives_than_the_tool_has_motions_has_no_sign_of_the_d
     assert poses.solved.all()
     expected = robot.with_engine("pinocchio").forward(commands)
     assert np.abs(poses.transforms - expected.transforms).max() < 1e-12
+
+
+@pytest.mark.parametrize("count", [7, 8, 12])
+def test_more_drives_than_the_tool_has_motions(count, tmp_path):
+    """Poses that some commands reach are found from home, the chain's straight pose with five motions of the tool."""
+    robot = Robot.load(four_bars(count).write(tmp_path))
+    assert len(robot.coordinates) == 6 < len(robot.commands)
+    commands = np.random.default_rng(0).uniform(-0.2, 0.2, (12, count))
+    targets = np.vstack([robot.home_coordinates, robot.forward(commands).coordinates])
+    for which in (robot, robot.with_engine("pinocchio")):
+        poses = which.solve(targets)
+        assert poses.solved.all()
+        np.testing.assert_allclose(poses.coordinates, targets, atol=1e-9)
+        for q in poses.q:
+            assert robot.configuration(q).closure_residual < 1e-9
+    with pytest.raises(InvalidValueError, match="drives can move while the tool rests"):
+        robot_space(robot)
 
 
 def test_the_reference_finds_the_same_poses_without_any_compiled_code(tmp_path):

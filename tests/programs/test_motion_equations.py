@@ -103,7 +103,8 @@ def test_motions_are_the_null_space(ladder: Robot) -> None:
     driven, passive = ladder.actuated_indices.tolist(), ladder.passive_indices.tolist()
     own = closed_motions(tree, driven, passive, unit, Doubt())
     every = all_motions(tree, [*passive, *driven], unit, Doubt())
-    assert not own.idle.size and not own.relations.size
+    assert not own.idle.size
+    assert not own.relations.size
     for pose, q in enumerate(poses):
         jacobian = ladder.configuration(q).constraint_jacobian / ladder.closure_scale[:, None]
         jacobian[:, tree.slides] *= unit
