@@ -74,7 +74,13 @@ def joint_columns(tree: Tree, indices: Iterable[int], frame: str | None = None) 
 
 
 def motion_equations(
-    tree: Tree, unit: float, unknown: Sequence[Column], sources: Sequence[Column] = (), frame: str | None = None
+    tree: Tree,
+    unit: float,
+    unknown: Sequence[Column],
+    sources: Sequence[Column] = (),
+    frame: str | None = None,
+    *,
+    displaced: bool = False,
 ) -> MotionEquations:
     """Record the equations of a frame, x - J v = 0, of the closures and of the couplings.
 
@@ -84,6 +90,7 @@ def motion_equations(
         unknown: columns of unknown rates.
         sources: columns of given rates.
         frame: the frame whose twist x enters, if any.
+        displaced: whether frames may be displaced in directions in which no joint can move them.
     """
     columns, count = [*unknown, *sources], len(unknown)
     origin = tree.frame(frame).translation if frame else objects([0.0, 0.0, 0.0])
@@ -117,11 +124,10 @@ def motion_equations(
         free[index] = []
         for direction in _free_directions(tree, index):
             record(terms, point, direction[None], share)
-            if all(map(is_zero, [*twists[-1][0], *rates[-1][0]])):  # the chains cannot move that way
-                continue
             number = len(columns)
-            screw = Screw(direction[3:], direction[:3], point)
-            columns.append(Column(screw, frozenset({number})))
+            if not displaced and all(map(is_zero, [*twists[-1][0], *rates[-1][0]])):
+                continue  # 0 = 0: the chains cannot move that way
+            columns.append(Column(Screw(direction[3:], direction[:3], point), frozenset({number})))
             free[index].append(number)
             rates[-1] = np.hstack([rates[-1], [[-1.0]]])
     rates.append(_coupling_rows(tree, columns, unit))

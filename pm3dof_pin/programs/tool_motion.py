@@ -160,7 +160,7 @@ def response_to_displacements(
         ProgramError: see :func:`response`.
     """
     count, unit, tool = len(drives), tree.mechanism.length_unit, tree.frame(frame).translation
-    equations = motion_equations(tree, unit, passive, drives, frame)
+    equations = motion_equations(tree, unit, passive, drives, frame, displaced=True)
     size = len(equations.rates)
     held = _branches(equations.twist, np.hstack([equations.rates, identity(size)]), equations.unknown, doubt)
     solve = partial(_shared_solution, drives=count) if shared else _solution

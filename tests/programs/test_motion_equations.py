@@ -7,7 +7,9 @@ of freedom as rungs.
 
 from __future__ import annotations
 
+import sys
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,11 +25,15 @@ from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs.closed_motions import all_motions, closed_motions
-from pm3dof_pin.programs.elimination import Doubt, samples
+from pm3dof_pin.programs.elimination import Doubt, samples, zeros
 from pm3dof_pin.programs.graph import Graph, is_zero
 from pm3dof_pin.programs.motion_equations import joint_columns, motion_equations
+from pm3dof_pin.programs.tool_motion import Displacement, response_to_displacements
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Array, Objects
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import scissor
 
 _RUNGS = 5
 _REGULAR = 0.03  # least singular value of the constraint Jacobian of the passive joints
@@ -150,3 +156,18 @@ def test_sensitivities_in_both_engines(ladder: Robot) -> None:
     reference = pm.sensitivities(errors, poses, engine="pinocchio")
     np.testing.assert_allclose(program.errors, reference.errors, atol=1e-9 * np.abs(reference.errors).max())
     np.testing.assert_allclose(program.commands, reference.commands, atol=1e-9 * np.abs(reference.commands).max())
+
+
+def test_balls_let_an_end_turn_out_of_the_plane_of_a_lift(tmp_path: Path) -> None:
+    """No joint can turn it that way, but an error of its placement does, and the tool stays."""
+    lift = Robot.load(scissor(8).write(tmp_path))
+    tree = Tree(Graph(), lift, samples_near_home(lift))
+    turn = zeros(6, 1)
+    turn[3, 0] = 1.0
+    ends = [Displacement(tree.frame(loop.frame_b), frozenset({loop.frame_b}), turn) for loop in lift.closures]
+    driven, tool = lift.actuated_indices.tolist(), lift.frame_name()
+    columns = [joint_columns(tree, indices, tool) for indices in (lift.passive_indices.tolist(), driven)]
+    by_errors, by_drives = response_to_displacements(tree, tool, columns[0], columns[1], ends, Doubt())
+    for entry in by_errors.ravel():
+        np.testing.assert_allclose(samples(entry), 0.0, atol=1e-12)
+    assert max(np.max(np.abs(samples(entry))) for entry in by_drives.ravel()) > 0.1
