@@ -141,12 +141,14 @@ class Continuation:
         """Walk from q to the targets, in place; permitted damped steps start from there and from home."""
         found, ends = self._reached(q, targets, keep_branch=keep_branch)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
-        if self._robot.has_branches and failed.size and not self._has_null_motions:
-            failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]  # open at the start
+        closed = failed[:0]  # at the start, whose branch is to be kept
+        if self._robot.has_branches and failed.size:
+            is_open = np.isnan(self._check(q[failed]).q[:, 0])
+            closed, failed = failed[~is_open], failed if self._has_null_motions else failed[is_open]
         if failed.size:
             found[failed] = self._damped(ends[failed], targets[failed], home_too=home_too)
-            if keep_branch and self._robot.has_branches and self._has_null_motions:
-                found[failed[self._branches(found[failed]) != self._branches(q[failed])]] = np.nan
+            if keep_branch and self._has_null_motions and closed.size:
+                found[closed[self._branches(found[closed]) != self._branches(q[closed])]] = np.nan
         q[:] = found
 
     def _reached(

@@ -19,9 +19,8 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
 from pm3dof_pin.programs import cache, geometry
-from pm3dof_pin.programs.closed_motions import constraint_rows
 from pm3dof_pin.programs.graph import Graph
-from pm3dof_pin.programs.loops import closure_residual
+from pm3dof_pin.programs.loops import largest_residual, loop_equations, scaled_rows
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
@@ -229,7 +228,9 @@ def scaled_jacobians(robot: Robot) -> BoundProgram:
         jacobian[:3] = jacobian[:3] * (1.0 / unit)
         jacobian[:, tree.slides] = jacobian[:, tree.slides] * unit
         tool = jacobian[[TOOL_COMPONENTS.index(name) for name in robot.tool_motions]]
-        outputs = {"closures": constraint_rows(tree, unit), "tool": tool, "residual": closure_residual(tree)}
+        equations = loop_equations(tree)
+        closures, residual = scaled_rows(tree, equations, unit), largest_residual(equations)
+        outputs = {"closures": closures, "tool": tool, "residual": residual}
         return tree.graph.program("jacobians", outputs)
 
     own = ("jacobians", robot.tool_motions, robot.characteristic_length)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from pm3dof_pin.programs.elimination import (
     Doubt,
     Elimination,
@@ -18,7 +16,6 @@ from pm3dof_pin.programs.elimination import (
     zeros,
 )
 from pm3dof_pin.programs.graph import is_zero
-from pm3dof_pin.programs.loops import loop_equations
 from pm3dof_pin.programs.motion_equations import joint_columns, motion_equations
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
@@ -78,18 +75,3 @@ def _motions(result: Elimination, given: Sequence[int], joints: Mapping[int, int
         if column in joints:
             motions[joints[column]] = rates
     return motions
-
-
-def constraint_rows(tree: Tree, unit: float) -> Objects:
-    """Return the constraint Jacobian, linear velocities in units of length, shape=(m, nv)."""
-    rows = []
-    for equations in loop_equations(tree):
-        for i, is_angular in enumerate(equations.is_angular):
-            row = zeros(1, len(tree.screws))[0]
-            for k, column in equations.columns.items():
-                row[k] = column[i] if is_angular else column[i] * (1.0 / unit)
-            rows.append(row)
-    matrix: Objects = np.array(rows, dtype=object).reshape(len(rows), len(tree.screws))
-    slides = tree.slides
-    matrix[:, slides] = matrix[:, slides] * unit
-    return matrix

@@ -19,7 +19,7 @@ from pm3dof_pin.description.closure_types import ClosureType
 from pm3dof_pin.description.couplings import Coupling
 from pm3dof_pin.mechanism.closure_wrenches import held_directions
 from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
-from pm3dof_pin.programs.elimination import Doubt
+from pm3dof_pin.programs.elimination import Doubt, zeros
 from pm3dof_pin.programs.graph import Scalar, Truth, cos, is_zero, less, maximum, select, sin, sqrt
 from pm3dof_pin.programs.graph import absolute as magnitude
 from pm3dof_pin.programs.joints import Transform, cross, objects
@@ -42,7 +42,27 @@ class Equations:
 def loop_equations(tree: Tree) -> list[Equations]:
     """Return the equations of the mechanism's loop closures, then of its couplings."""
     closures = [_closure_equations(tree, index) for index in range(len(tree.mechanism.closures))]
-    return closures + [_coupling_equation(tree, coupling) for coupling in tree.mechanism.couplings]
+    return closures + coupling_equations(tree)
+
+
+def coupling_equations(tree: Tree) -> list[Equations]:
+    """Return the equations of the mechanism's couplings."""
+    return [_coupling_equation(tree, coupling) for coupling in tree.mechanism.couplings]
+
+
+def scaled_rows(tree: Tree, equations: Iterable[Equations], unit: float) -> Objects:
+    """Return the derivatives of equations by v, with linear errors and rates in units of length, shape=(m, nv)."""
+    rows = []
+    for equation in equations:
+        for i, is_angular in enumerate(equation.is_angular):
+            row = zeros(1, len(tree.screws))[0]
+            for k, column in equation.columns.items():
+                row[k] = column[i] if is_angular else column[i] * (1.0 / unit)
+            rows.append(row)
+    matrix: Objects = np.array(rows, dtype=object).reshape(len(rows), len(tree.screws))
+    slides = tree.slides
+    matrix[:, slides] = matrix[:, slides] * unit
+    return matrix
 
 
 def _closure_equations(tree: Tree, index: int) -> Equations:

@@ -50,8 +50,9 @@ class _Body:
     def __add__(self, other: _Body) -> _Body:
         return _Body(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
 
-    def momentum(self, velocity: Objects, angular: Objects) -> Objects:
-        """Return momentum and angular momentum about the world's origin, shape=(6,), at its velocity there."""
+    def momentum(self, twist: Objects) -> Objects:
+        """Return momentum and angular momentum about the world's origin, at its twist [v; omega] there, shape=(6,)."""
+        velocity, angular = twist[:3], twist[3:]
         linear = self.mass * velocity + cross(angular, self.moment)
         return np.concatenate([linear, self.inertia @ angular + cross(self.moment, velocity)])
 
@@ -69,9 +70,10 @@ class Masses:
         self._carried = self._bodies.copy()
         for index in reversed(range(1, model.njoints)):
             self._carried[model.parents[index]] += self._carried[index]
-        self._owner = [
-            index for index in range(1, model.njoints) for _ in range(model.joints[index].nv)
-        ]  # joint of each entry of v
+        above = [tree.carrying(index) for index in range(model.njoints)]
+        self._joints = [  # each with its own entries of v, and with those of all that carry it
+            (index, above[index][len(above[model.parents[index]]) :], above[index]) for index in range(1, model.njoints)
+        ]
         #: twists [v; omega] of what each entry of v moves, about the world's origin
         self._twists = [np.concatenate([screw.velocity(_ORIGIN), screw.angular]) for screw in tree.screws]
 
@@ -79,17 +81,21 @@ class Masses:
     def weights(self) -> Objects:
         """Generalised forces that hold the tree of bodies against gravity, shape=(nv,) [N, N m]."""
         gravity = objects([self._numbers[f"gravity/{k}"] for k in range(3)])
-        momenta = (self._carried[k].momentum(*_split(s)) for k, s in zip(self._owner, self._twists, strict=True))
-        return objects([-(gravity @ momentum[:3]) for momentum in momenta])
+        forces: Objects = zeros(1, len(self._twists))[0]
+        for joint, own, _ in self._joints:
+            for k in own:
+                forces[k] = -(gravity @ self._carried[joint].momentum(self._twists[k])[:3])
+        return forces
 
     @property
     def matrix(self) -> Objects:
         """Mass matrix of the tree of bodies and of rotors, shape=(nv, nv) [kg, kg m, kg m^2]."""
-        matrix = zeros(len(self._owner), len(self._owner))
-        for k, owner in enumerate(self._owner):
-            momentum = self._carried[owner].momentum(*_split(self._twists[k]))
-            for i in self._above(owner):
-                matrix[i, k] = matrix[k, i] = self._twists[i] @ momentum
+        matrix = zeros(len(self._twists), len(self._twists))
+        for joint, own, above in self._joints:
+            for k in own:
+                momentum = self._carried[joint].momentum(self._twists[k])
+                for i in above:
+                    matrix[i, k] = matrix[k, i] = self._twists[i] @ momentum
         for k in range(len(matrix)):
             matrix[k, k] = matrix[k, k] + self._numbers[f"armature/{k}"]
         return matrix
@@ -100,28 +106,19 @@ class Masses:
         Few motions of long chains take fewer operations body by body, as their number does not grow with the square of
         that of the joints.
         """
-        pairs, count = sum(len(self._above(owner)) for owner in self._owner), motions.shape[1]
+        pairs, count = sum(len(own) * len(above) for _, own, above in self._joints), motions.shape[1]
         if pairs * (_PAIR + 2 * count) <= count * len(motions) * _BODY:
             return product(self.matrix, motions)
         result = zeros(*motions.shape)
         for c, rates in enumerate(motions.T):
             twists = [zeros(1, 6)[0]]
-            for index in range(1, len(self._bodies)):
-                own = [self._twists[k] * rates[k] for k, owner in enumerate(self._owner) if owner == index]
-                twists.append(sum(own, twists[self._parents[index]]))
-            momenta = [body.momentum(*_split(twist)) for body, twist in zip(self._bodies, twists, strict=True)]
-            for index in reversed(range(1, len(momenta))):
-                momenta[self._parents[index]] = momenta[self._parents[index]] + momenta[index]
-            for k, owner in enumerate(self._owner):
-                result[k, c] = self._twists[k] @ momenta[owner] + self._numbers[f"armature/{k}"] * rates[k]
-        return result
-
-    def _above(self, joint: int) -> list[int]:
-        """Return the entries of v of a joint and of those that carry it."""
-        result: list[int] = []
-        while joint:
-            result += [k for k, owner in enumerate(self._owner) if owner == joint]
-            joint = self._parents[joint]
+            for joint, own, _ in self._joints:
+                twists.append(sum((self._twists[k] * rates[k] for k in own), twists[self._parents[joint]]))
+            momenta = [body.momentum(twist) for body, twist in zip(self._bodies, twists, strict=True)]
+            for joint, own, _ in reversed(self._joints):
+                momenta[self._parents[joint]] = momenta[self._parents[joint]] + momenta[joint]
+                for k in own:
+                    result[k, c] = self._twists[k] @ momenta[joint] + self._numbers[f"armature/{k}"] * rates[k]
         return result
 
     def _body(self, index: int) -> _Body:
@@ -137,10 +134,6 @@ class Masses:
         inertia = placement.rotation @ objects([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ placement.rotation.T
         shift = turned + turned + m * place  # parallel axes: the moment about the joint counts twice
         return _Body(m, turned + m * place, inertia + _across(place, shift))
-
-
-def _split(twist: Objects) -> tuple[Objects, Objects]:
-    return twist[:3], twist[3:]
 
 
 def _across(a: Objects, b: Objects) -> Objects:

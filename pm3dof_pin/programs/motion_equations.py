@@ -20,7 +20,7 @@ import numpy as np
 from pm3dof_pin.programs.elimination import identity, product, zeros
 from pm3dof_pin.programs.graph import is_zero
 from pm3dof_pin.programs.joints import Screw, cross, objects
-from pm3dof_pin.programs.loops import closure_frames, held_twist, loop_equations
+from pm3dof_pin.programs.loops import apply_rows, closure_frames, coupling_equations, held_twist, scaled_rows
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Array, Objects
 
@@ -110,7 +110,6 @@ def motion_equations(
     free: dict[int, list[int]] = {}
     for index, (share, other) in substitutes.items():
         kind, (a, b) = tree.mechanism.closures[index].kind, closure_frames(tree, index)
-        held = held_twist(kind, a, b)
         point = (a if share < 0.0 and kind.holds_vectors else b).translation
         terms = _relative(tree, index)
         if other is not None:
@@ -118,7 +117,7 @@ def motion_equations(
             share = 0.0
         elif frame:
             terms = _sum(terms, {frame: 1.0}, -share)
-        record(terms, point, identity(6)[:held] if isinstance(held, int) else held, share)
+        record(terms, point, apply_rows(held_twist(kind, a, b), identity(6)), share)
         if index not in needed:
             continue
         free[index] = []
@@ -130,7 +129,11 @@ def motion_equations(
             columns.append(Column(Screw(direction[3:], direction[:3], point), frozenset({number})))
             free[index].append(number)
             rates[-1] = np.hstack([rates[-1], [[-1.0]]])
-    rates.append(_coupling_rows(tree, columns, unit))
+    couplings = scaled_rows(tree, coupling_equations(tree), unit)
+    rates.append(zeros(len(couplings), len(columns)))
+    for k, column in enumerate(columns):
+        if column.joint is not None:
+            rates[-1][:, k] = couplings[:, column.joint]
     twists.append(zeros(len(rates[-1]), 6))
     last, every = len(columns) - len(sources), len(columns)
     matrix = np.vstack([widened(part, range(part.shape[1]), every) for part in rates])
@@ -160,11 +163,11 @@ def _substitutes(tree: Tree, columns: Sequence[Column], frame: str | None) -> di
 
     relative = [moved(_relative(tree, index)) for index in range(len(tree.mechanism.closures))]
     order = sorted(range(len(relative)), key=lambda index: np.count_nonzero(relative[index]))
+    carried = moved({frame: 1.0}) if frame else np.zeros(len(columns))
     substitutes: dict[int, _Substitute] = {}
     for place, index in enumerate(order):
         ways = [(np.count_nonzero(relative[index]), _Substitute(0.0))]
         if frame:
-            carried = moved({frame: 1.0})
             ways += [(np.count_nonzero(relative[index] - s * carried), _Substitute(s)) for s in (1.0, -1.0)]
         for other in order[:place]:
             if (number := _free_count(tree, other)) is not None:
@@ -216,15 +219,4 @@ def _velocities(columns: Sequence[Column], terms: Mapping[Mover, float], point: 
         if factor := sum(terms[mover] for mover in column.moves & terms.keys()):
             rows[:3, k] = column.screw.velocity(point) * (factor if column.slides else factor / unit)
             rows[3:, k] = column.screw.angular * factor
-    return rows
-
-
-def _coupling_rows(tree: Tree, columns: Sequence[Column], unit: float) -> Objects:
-    equations = loop_equations(tree)[len(tree.mechanism.closures) :]
-    rows = zeros(len(equations), len(columns))
-    for row, equation in zip(rows, equations, strict=True):
-        for k, column in enumerate(columns):
-            if column.joint is not None and column.joint in equation.columns:
-                slope = equation.columns[column.joint][0] * (unit if column.slides else 1.0)
-                row[k] = slope if equation.is_angular[0] else slope * (1.0 / unit)
     return rows

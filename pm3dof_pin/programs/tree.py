@@ -94,6 +94,10 @@ class Tree:
     def support(self, name: str) -> tuple[int, ...]:
         """Return the entries of v that move a frame, from the base to the frame."""
         joint: int = self.mechanism.model.frames[self.mechanism.frame_id(name)].parentJoint
+        return self.carrying(joint)
+
+    def carrying(self, joint: int) -> tuple[int, ...]:
+        """Return the entries of v that move the body of a joint, from the base to the joint, by Pinocchio's index."""
         return self._supports[joint]
 
     def jacobian(self, name: str) -> Objects:
@@ -109,7 +113,7 @@ class Tree:
         """Return the Jacobian of the body that a joint moves, shape=(6, nv): twist [v; omega] in the joint's axes."""
         columns = objects(np.zeros((6, len(self.screws))).tolist())
         place = self.body(joint)
-        for k in self._supports[joint]:
+        for k in self.carrying(joint):
             columns[:3, k] = self.screws[k].velocity(place.translation) @ place.rotation
             columns[3:, k] = self.screws[k].angular @ place.rotation
         return columns
