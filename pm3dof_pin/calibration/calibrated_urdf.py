@@ -10,13 +10,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
-import yaml
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX
 from pm3dof_pin.description.urdf_files import urdf_files
 from pm3dof_pin.description.xml_file import comment_text, read_xml
-from pm3dof_pin.description.yaml_file import read_mapping
+from pm3dof_pin.description.yaml_file import read_mapping, yaml_text
 from pm3dof_pin.elastic.tool_deflection import stiffened_entries
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import chapter_angles, chapter_rotation
@@ -77,7 +76,7 @@ def write_calibrated_robot(
     if stiffness and closures is not None:
         entries = read_mapping(closures)
         entries["springs"] = stiffened_entries(entries.get("springs", ()), stiffness)
-        write_text_atomically(closures, yaml.safe_dump(entries, sort_keys=False, width=120))
+        write_text_atomically(closures, yaml_text(entries))
     if srdf is not None:
         write_text_atomically(srdf, _closed_again(srdf, Robot.load(target)))
     declared = errors.file or (None if robot.files is None else robot.files.errors)

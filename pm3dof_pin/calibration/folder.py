@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from pm3dof_pin.calibration.calibrated_urdf import write_calibrated_robot
 from pm3dof_pin.calibration.compensation import Compensation
@@ -32,7 +31,7 @@ from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.calibration.session_effects import SessionEffects
-from pm3dof_pin.description.yaml_file import read_mapping
+from pm3dof_pin.description.yaml_file import read_mapping, yaml_text
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.exceptions import DescriptionError
@@ -89,7 +88,7 @@ def write_calibration(calibration: Fit, directory: Path | str, summary: Mapping[
             write_calibrated_robot(compensation.errors, compensation.values, folder / "calibrated", factors)
         write_measurements(calibration.measurements, compensation.errors.robot, folder / MEASUREMENTS)
         write_text_atomically(folder / _COMPENSATION, _compensation_as_json(compensation, files.tree_name))
-        text = yaml.safe_dump(dict(summary), sort_keys=False, width=120, allow_unicode=True)
+        text = yaml_text(dict(summary))
         write_text_atomically(folder / _SUMMARY, text)
         write_text_atomically(folder / REPORT, report)
         sums = "".join(f"{_sum(file)}  {file.relative_to(folder).as_posix()}\n" for file in _files(folder))

@@ -240,7 +240,9 @@ class Linearisation:
             return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
         if (gram := self._gram) is not None:
             noise = np.tile(self.kinds @ factors**2, len(self.rows))
-            leverages = np.einsum("ij,ji->i", gram, np.linalg.inv(gram + np.diag(noise)))
+            factor = scipy.linalg.cholesky(gram + np.diag(noise), lower=True, overwrite_a=True, check_finite=False)
+            inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=True, overwrite_c=True)
+            leverages = 1.0 - noise * np.diag(inverse)
             return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
         blocks = [block / factor**2 for block, factor in zip(self._blocks, factors, strict=True)]
         inverse = np.linalg.inv(sum(blocks, np.eye(len(self.sigmas))))

@@ -26,7 +26,7 @@ from pm3dof_pin.figures.style import COLORMAP, INK, TWO_COLUMNS, house_style, ne
 _BEFORE, _AFTER, _FLOOR, _NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okabe and Ito
 
 _MICROMETRES = 1e6
-_MOST = 100  # parameters drawn
+_MOST = 50  # parameters drawn
 _SHOWN = 4.0  # tolerances; a wider uncertainty leaves the picture of the parameters
 _NO_FLOOR = (
     "The part that no command corrects is not drawn: only identified parameters locate it. Both maps lack it, except "

@@ -9,13 +9,13 @@ from xml.etree import ElementTree
 
 import msgspec
 import numpy as np
-import yaml
 
 from pm3dof_pin.description.closures import DriveSchema
 from pm3dof_pin.description.description import Body, Description, Drive, Inertial, Joint, Placement, Shape
 from pm3dof_pin.description.mesh_files import find_mesh
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX, RobotFiles
 from pm3dof_pin.description.simple_joints import NEGLIGIBLE, with_frames_as_bodies, with_simple_joints
+from pm3dof_pin.description.yaml_file import yaml_text
 from pm3dof_pin.exceptions import DescriptionError
 
 _logger = logging.getLogger(__name__)
@@ -44,7 +44,7 @@ def urdf_files(description: Description, *, floating: bool = True, own_meshes: b
     entries = closure_entries(simple)
     return {
         ".urdf": _document(_robot(with_frames_as_bodies(simple), own_meshes=own_meshes)),
-        CLOSURES_SUFFIX: yaml.safe_dump(entries, sort_keys=False, width=120) if entries else "{}\n",
+        CLOSURES_SUFFIX: yaml_text(entries) if entries else "{}\n",
         ".srdf": _document(_configurations(simple)),
         **errors,
     }

@@ -1,4 +1,4 @@
-"""Read a YAML file into a mapping, with errors that name the file and the line."""
+"""Read a YAML file into a mapping, with errors that name the file and the line; and write data as YAML."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, JointNot
 from pm3dof_pin.files import read_text
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, ten times faster, if available
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _MAX_DEPTH = 50
 _MAX_ENTRIES = 1_000_000
 
@@ -41,6 +42,11 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
     if _size(data, {}) > _MAX_ENTRIES:
         raise DescriptionError(path, "file", f"expected at most {_MAX_ENTRIES} entries, aliases expanded")
     return data
+
+
+def yaml_text(data: object) -> str:
+    """Return plain data as YAML, in the order of its keys."""
+    return str(yaml.dump(data, Dumper=_DUMPER, sort_keys=False, width=120, allow_unicode=True))
 
 
 @contextmanager

@@ -148,23 +148,32 @@ class VibratingSystem:
 
     @cached_property
     def _poles(self) -> tuple[Mask, Array, Array, Array]:
-        """Modes with mass, poles of their state-space form, shape=(2 e,), and right and left vectors, (2 e, 2 e)."""
+        """Modes with mass, poles of their state-space form, shape=(2 e,), and right and left vectors.
+
+        Only parts of these matter: amplitudes of the right ones, shape=(e, 2 e), velocities of the left, (2 e, e).
+        """
         kept = self.inverse_squares > 0.0  # what moves no mass follows at once, and is left out
         roots = np.sqrt(self.inverse_squares[kept])
         scale = np.outer(1.0 / roots, 1.0 / roots)  # to unit modal mass
         stiffness = scale * (np.eye(len(roots)) + 1j * self.structural[np.ix_(kept, kept)])
         damping = scale * self.viscous[np.ix_(kept, kept)]
-        size = len(roots)
-        state = np.block([[np.zeros((size, size)), np.eye(size)], [-stiffness, -damping]])
+        size, one = len(roots), np.eye(len(roots))
+        own, decay = stiffness.diagonal(), damping.diagonal()
+        if np.array_equal(stiffness, one * own) and np.array_equal(damping, one * decay):
+            apart = np.sqrt(decay**2 - 4.0 * own)  # modes that are not coupled have a pair of poles each
+            if (np.abs(apart) > SOLVED * decay).all():
+                poles = 0.5 * np.concatenate([apart - decay, -apart - decay])
+                return kept, poles, np.hstack([one, one]), np.vstack([one, -one]) / np.tile(apart, 2)[:, None]
+        state = np.block([[np.zeros((size, size)), one], [-stiffness, -damping]])
         poles, right = np.linalg.eig(state)
-        return kept, poles, right, np.linalg.inv(right)
+        return kept, poles, right[:size], np.linalg.inv(right)[:, size:]
 
     def _residues(self, outputs: Matrix, inputs: Matrix) -> tuple[Array, Matrix, Matrix]:
         """Return poles of the modes with mass, shape=(2 e,), and factors c, (o, 2 e), and b, (2 e, i), of G."""
         kept, poles, right, left = self._poles
-        roots, size = np.sqrt(self.inverse_squares[kept]), len(poles) // 2
-        seen = (outputs @ self.shapes[:, kept] / roots) @ right[:size]
-        excited = left[:, size:] @ (inputs @ self.shapes[:, kept] / roots).T
+        roots = np.sqrt(self.inverse_squares[kept])
+        seen = (outputs @ self.shapes[:, kept] / roots) @ right
+        excited = left @ (inputs @ self.shapes[:, kept] / roots).T
         return poles, seen, excited
 
     def _dynamic_stiffness(self, omegas: Vector) -> Array:

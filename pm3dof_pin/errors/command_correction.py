@@ -7,6 +7,7 @@ With fewer drives than the pose has degrees of freedom, no commands reach the fu
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.tolerances import ROUNDING, SOLVED
 from pm3dof_pin.typing import Array, Mask, OnFailure
 
@@ -26,7 +28,13 @@ _FARTHEST_TURN = np.pi  # of a drive in one step [rad]: derivatives are meaningl
 
 def command_jacobians(poses: Poses) -> Array:
     """Return the tool's motion by the commands, shape=(n, 6, number of commands)."""
-    return sensitivities(GeometricErrors(poses.robot, ()), poses).commands
+    return sensitivities(_no_errors(poses.robot.prototype), poses, engine=poses.robot.engine).commands
+
+
+@lru_cache(maxsize=4)
+def _no_errors(robot: Robot) -> GeometricErrors:
+    """Return no errors of a robot, which know what its joints move."""
+    return GeometricErrors(robot, ())
 
 
 def command_scales(poses: Poses) -> Array:

@@ -11,13 +11,13 @@ from typing import Any, Unpack
 from xml.etree import ElementTree
 
 import numpy as np
-import yaml
 
 from pm3dof_pin.description.closures import DriveSchema, JointSchema
 from pm3dof_pin.description.coordinates import LimitGroup
 from pm3dof_pin.description.description import Description, Drive, Joint
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX
 from pm3dof_pin.description.urdf_files import closure_entries, yaml_data
+from pm3dof_pin.description.yaml_file import yaml_text
 from pm3dof_pin.elastic.batch import compliance
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, PM3DofError
 from pm3dof_pin.export.formats import MESH_KINDS, exported_files
@@ -119,7 +119,7 @@ def _files_beside(document: RobotDocument, form: str, file: Path, zeros: Mapping
     stem = file.stem if form == "drake" else file.name
     texts = {}
     if beside := _entries_beside(document, zeros, _read_back(file)):
-        texts[stem + CLOSURES_SUFFIX] = _BANNER + yaml.safe_dump(beside, sort_keys=False, width=120)
+        texts[stem + CLOSURES_SUFFIX] = _BANNER + yaml_text(beside)
     if form != "mjcf":
         root = ElementTree.Element("robot", name=document.name)
         for name, configuration in document.named_configurations().items():

@@ -5,15 +5,12 @@ from __future__ import annotations
 import atexit
 import shutil
 import tempfile
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from pm3dof_pin.description.expand import expand_together
 from pm3dof_pin.description.parameters import find_parameters, read_parameters, read_quantities
 from pm3dof_pin.description.robots import DESCRIPTION_SUFFIX, robot_names, robots_directory
+from pm3dof_pin.description.yaml_file import yaml_text
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
 from pm3dof_pin.export.closures_file import closures_text
 from pm3dof_pin.export.named_configurations import srdf_text
@@ -36,7 +33,7 @@ def temporary_description(robot: str, config: Path | str) -> Path:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     for path, text in texts.items():
         write_text_atomically(folder / path, text)
-    write_text_atomically(folder / "config" / f"{name}.yaml", _dumped(read_parameters(config)))
+    write_text_atomically(folder / "config" / f"{name}.yaml", yaml_text(read_parameters(config)))
     return folder / "urdf" / f"{name}.urdf"
 
 
@@ -59,7 +56,7 @@ def packaged_description(robot: str, config: Path | str | None) -> tuple[str, di
         raise DescriptionError(config, "name", f"expected the name of the robot, not {name}")
     files = [folder / "xacro" / f"{robot}.{kind}.xacro" for kind in ("urdf", "closures", "srdf")]
     with tempfile.TemporaryDirectory() as temporary:
-        whole = write_text_atomically(Path(temporary) / config.name, _dumped(parameters))
+        whole = write_text_atomically(Path(temporary) / config.name, yaml_text(parameters))
         try:
             urdf, *others = expand_together(files, {"config": str(whole)})
             closures = closures_text(files[1], others[0])
@@ -71,8 +68,3 @@ def packaged_description(robot: str, config: Path | str | None) -> tuple[str, di
             raise DescriptionError(config, element, expected) from error
         srdf = srdf_text(files[2], others[1], urdf, closures)
     return name, {f"urdf/{name}.urdf": urdf, f"urdf/{name}.closures.yaml": closures, f"srdf/{name}.srdf": srdf}
-
-
-def _dumped(parameters: Mapping[str, Any]) -> str:
-    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # libyaml, if available
-    return str(yaml.dump(parameters, Dumper=dumper, sort_keys=False))

@@ -130,6 +130,10 @@ class Continuation:
                 q[part] = self._reached(q[part], targets[part], _SHORTEST_QUICK_LEG, keep_branch=keep_branch)[0]
         return self._check(q, targets)
 
+    def first_order(self, targets: Matrix, starts: Matrix) -> Matrix:
+        """Return the ends of one Newton step, see :class:`~pm3dof_pin.kinematics.pose_search.Solver`."""
+        return self._step(self._inputs(starts, self._given_numbers(targets)))[:, : self._nq]
+
     @cached_property
     def lattice(self) -> tuple[Matrix, Matrix]:
         """Values and poses of a lattice around home."""

@@ -47,6 +47,9 @@ class Solver(Protocol):
         branch of its start, or if `keep_branch` is false ends only where the coordinates are singular.
         """
 
+    def first_order(self, targets: Matrix, starts: Matrix) -> Matrix:
+        """Return configurations at targets next to closed starts, to first order in the distance, shape=(n, nq)."""
+
     @property
     def lattice(self) -> tuple[Matrix, Matrix]:
         """Values of the coordinates, shape=(m, number of coordinates), and poses, shape=(m, nq), all over the reach."""

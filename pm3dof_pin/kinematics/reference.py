@@ -69,6 +69,10 @@ class Reference:
             found[row] = _Walk(self._robot, self._coordinates, branches, given[row], home).to(targets[row])
         return Solution(found)
 
+    def first_order(self, targets: Matrix, starts: Matrix) -> Matrix:
+        """Return the poses themselves, see :class:`~pm3dof_pin.kinematics.pose_search.Solver`."""
+        return self.walk(targets, starts, keep_branch=False).q
+
     def _branches(self, starts: Matrix) -> Branches | None:
         """Return the branches around home or, if the loops do not close there, around a closed start."""
         try:

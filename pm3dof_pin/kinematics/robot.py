@@ -42,7 +42,7 @@ from pm3dof_pin.kinematics.units import unit_slip
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.robot_description import read_source
 from pm3dof_pin.mechanism.tool_components import tool_components
-from pm3dof_pin.typing import Array, Branch, Engine, Matrix, OnFailure, Vector
+from pm3dof_pin.typing import Array, Branch, Engine, Indices, Matrix, OnFailure, Vector
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -435,22 +435,25 @@ class Robot(PlacedMechanism):
         independent = tuple(coordinates[k] for k in placing)
         continuation = self.continuation(independent) if engine == "program" else None
         keep = branches == "home"
-        if continuation is not None and isinstance(values, Grid) and starts is None:
+
+        def find(which: Indices | slice) -> Solution:
+            own = None if starts is None else starts[which]
+            solver = self._finder(independent, engine)
+            return find_poses(self, independent, rows[which][:, placing], own, solver, keep_branch=keep)
+
+        is_shared = len(placing) < len(coordinates)
+        if is_shared:
+            shared = self._shared_commands(engine)
+            found = Solution(shared.poses(lambda which: find(which).q, rows, starts, keep_branch=keep))
+        elif continuation is not None and isinstance(values, Grid) and starts is None:
             found = continuation.march(values, threads, keep_branch=keep)
         else:
-            solver = self._finder(independent, engine)
-            found = find_poses(self, independent, rows[:, placing], starts, solver, keep_branch=keep)
-        contradictions = None
-        if len(placing) < len(coordinates):
-            shared = self._shared_commands(engine)
-            contradictions = shared.differences(found.q, rows)
-            found = Solution(shared.poses(found.q, rows, starts, keep_branch=keep))
+            found = find(slice(None))
         failed = np.flatnonzero(np.isnan(found.q[:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
-            if contradictions is not None and np.isfinite(contradictions[failed[0]]).all():
-                worst = shared.worst(contradictions[failed[0]])
-                raise self._contradicting(rows[failed[0]], contradictions[failed[0]], worst, index)
+            if is_shared and np.isfinite(off := shared.differences(find(failed[:1]).q, rows[failed[:1]])[0]).all():
+                raise self._contradicting(rows[failed[0]], off, shared.worst(off), index)
             start = start_of(self) if starts is None else starts[failed[0]]
             raise self._unreachable(independent, rows[failed[0], placing], start, index)
         known: list[Any] = [values if values is None else frozen(values) for values in found]

@@ -69,22 +69,32 @@ class SharedCommands:
         """Return the number of the command that is the farthest off."""
         return int(np.argmax(np.abs(differences / self._scales)))
 
-    def poses(self, q: Matrix, commands: Matrix, starts: Matrix | None, *, keep_branch: bool) -> Matrix:
-        """Return the poses at all commands, where q are those of independent drives; NaN where they contradict.
+    def poses(
+        self, placed: Callable[[Indices], Matrix], commands: Matrix, starts: Matrix | None, *, keep_branch: bool
+    ) -> Matrix:
+        """Return the poses at all commands; NaN where they contradict each other.
 
-        Commands that no pose meets are met by least squares if they differ from the pose's by little, with a warning
-        if the robot is as described.
+        `placed` returns the poses of some rows by independent drives alone. Commands that no pose meets are met by
+        least squares if they differ from the pose's by little, with a warning if the robot is as described.
         """
-        robot, off = self._robot, self._off(q, commands)
-        rows = np.flatnonzero(~(off <= SOLVED) & np.isfinite(commands).all(axis=1))
-        if not rows.size or len(robot.coordinates) != len(robot.placing_drives):
-            return self.agreeing(q, commands)
-        answer, off = np.where((off <= SOLVED)[:, None], q, np.nan), np.where(off <= SOLVED, off, np.inf)
+        robot, every = self._robot, np.arange(len(commands))
         described, is_guessed = robot.prototype is robot, starts is not None
+        can_fit = len(robot.coordinates) == len(robot.placing_drives)
+        # of a machine with errors near its guess, only where least squares fail from there
+        later = can_fit and is_guessed and not described
+        alone = np.full((len(every), robot.model.nq), np.nan) if later else placed(every)
+        off = self._off(alone, commands)
+        rows = np.flatnonzero(~(off <= SOLVED) & np.isfinite(commands).all(axis=1))
+        if not rows.size or not can_fit:
+            return self.agreeing(alone, commands)
+        answer, off = np.where((off <= SOLVED)[:, None], alone, np.nan), np.where(off <= SOLVED, off, np.inf)
         enough, most = (AGREEING, _CONTRADICTION) if described else (_OF_ERRORS, _OF_ERRORS)
-        home = np.tile(robot.home.q, (len(q), 1)) if starts is None else starts
-        for near in (q, home) if described and not is_guessed else (home, q):
-            own = rows[~(off[rows] <= enough) & np.isfinite(near[rows, 0])]
+        home = np.tile(robot.home.q, (len(every), 1)) if starts is None else starts
+        for near in (alone, home) if described and not is_guessed else (home, alone):
+            own = rows[~(off[rows] <= enough)]
+            if near is alone and later and own.size:
+                alone[own] = placed(own)
+            own = own[np.isfinite(near[own, 0])]
             self._improve(answer, off, own, commands, near[own], keep_branch=keep_branch)
         # near a singular pose of the drives, two poses have nearly the same commands
         for length in _VALLEY if described and not is_guessed else ():
@@ -130,7 +140,13 @@ class SharedCommands:
 
     def _by_coordinates(self, q: Matrix) -> Array:
         """Return the derivatives of the commands by the coordinates, both scaled, by differences, shape=(n, u, k)."""
-        return np.swapaxes(self._read(q, _SMALL * np.eye(len(self._units))), 1, 2) / _SMALL
+        n, k = len(q), len(self._units)
+        moves = np.concatenate([np.zeros((1, k)), _SMALL * np.diag(self._units)])  # the first closes fully
+        beside = (self._coordinates(q)[:, None] + moves).reshape(-1, k)
+        found = self._solver.first_order(beside, np.repeat(q, k + 1, axis=0)).reshape(n, k + 1, q.shape[1])
+        before = np.repeat(self._robot.read(self._robot.command_coordinates, found[:, 0]), k, axis=0)
+        changes = self.differences(found[:, 1:].reshape(n * k, q.shape[1]), before) / self._scales
+        return np.swapaxes(changes.reshape(n, k, len(self._scales)), 1, 2) / _SMALL
 
     def _curvatures(self, q: Matrix, left: Matrix) -> Array:
         """Return the sums of second derivatives of the commands times what they are off, shape=(n, k, k)."""

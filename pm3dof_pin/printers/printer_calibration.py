@@ -15,10 +15,10 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy
-import yaml
 
 from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.linearisation import Loss
+from pm3dof_pin.description.yaml_file import yaml_text
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import (
     CalibrationRefusedError,
@@ -138,7 +138,7 @@ class PrinterCalibration:
             )
         with replace_directory(directory, _SUMMARY) as folder:
             write_text_atomically(folder / self.file.path.name, self.file.with_printer(self.after, self.mesh))
-            text = yaml.safe_dump(self.summary(), sort_keys=False, width=120, allow_unicode=True)
+            text = yaml_text(self.summary())
             write_text_atomically(folder / _SUMMARY, text)
             for end, text in self.after.files(self.chosen.count).items():
                 write_text_atomically(folder / "robot" / f"printer{end}", text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -29,11 +30,11 @@ _USUAL_STEPS = 8  # of these until a walk ends
 _ALIGNED = 64  # bytes
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, do not justify a thread
 
-_LARGE = 5_000  # operations: longer programs, whose compilation takes seconds, need as many times more poses
-MANY_POSES = 20_000
-"""Number of poses, over all calls of a program, from which it is compiled with full optimisation.
+_SECONDS_EACH = 3e-10  # of an operation for one pose in code compiled quickly
+WORTH_OPTIMISING = 3e-5
+"""Seconds of running, per operation of the program, from which it is compiled with full optimisation.
 
-Within one session this pays from about a million poses; but large batches seldom come alone, and the code is cached.
+That takes three times as long. But large batches seldom come alone, and the code is cached.
 """
 
 
@@ -118,7 +119,7 @@ class Compiled:
         Args:
             program: the program; or a walk, whose step is then the program.
             code: its object code; LLVM crashes on incomplete code.
-            faster: makes code that replaces it after many poses, if `code` was compiled quickly.
+            faster: makes code that replaces it once that is worth its compilation, if `code` was compiled quickly.
 
         Raises:
             ProgramError: it cannot be loaded.
@@ -126,7 +127,7 @@ class Compiled:
         self.walk_program = program if isinstance(program, Walk) else None
         self.program = program.step if isinstance(program, Walk) else program
         self._faster = faster
-        self._poses = 0
+        self._seconds = 0.0  # of running
         self._engines: list[Any] = []  # the first one is kept, since another thread may be running it
         self._load(code)
 
@@ -342,8 +343,8 @@ class Compiled:
             expected = f"({len(self.program.parameters)},)"
             raise ShapeError("parameters", shared.shape, expected)
         n = len(rows)
-        self._poses += n * length
-        if self._faster is not None and self._poses > MANY_POSES * max(1.0, len(self.program) / _LARGE):
+        ahead = n * length * len(self.program) * _SECONDS_EACH
+        if self._faster is not None and self._seconds + ahead > WORTH_OPTIMISING * len(self.program):
             faster, self._faster = self._faster, None
             try:
                 self._load(faster())
@@ -354,6 +355,7 @@ class Compiled:
         first_input, table, first_output = _address(rows), _address(shared), _address(outputs)
 
         def part(start: int, stop: int) -> None:
+            begin = time.perf_counter()
             room = np.empty(self._workspace_size + _ALIGNED // 8) if self._workspace_size else shared
             function(
                 -(-_address(room) // _ALIGNED) * _ALIGNED,
@@ -365,6 +367,7 @@ class Compiled:
                 stop - start,
                 *more,
             )
+            self._seconds += time.perf_counter() - begin
             if then is not None:
                 then(slice(start, stop), outputs[start:stop])
 

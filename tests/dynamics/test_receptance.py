@@ -194,9 +194,13 @@ def test_modes_are_those_of_the_receptance() -> None:
         assert modes.without_mass == np.isinf(system.frequencies).sum() == massless
 
 
-def test_covariance_is_the_integral_of_the_receptance() -> None:
+@pytest.mark.parametrize(
+    "damping", [Damping(bandwidths={"slider1_joint": 300.0}), Damping(ratio=0.04), Damping(ratio=0.999)]
+)
+def test_covariance_is_the_integral_of_the_receptance(damping: Damping) -> None:
+    """Of modes that damping couples, and of others, damped a little or nearly critically."""
     model = ElasticModel.load("pm3dof")
-    system = vibrating_system(model, model.rigid.home, damping=Damping(bandwidths={"slider1_joint": 300.0}))
+    system = vibrating_system(model, model.rigid.home, damping=damping)
     tool = system.rows(TOOL[:3])
     edges, levels = [5.0, 100.0, 400.0], [2.0, 3.0]
     expected = np.zeros((3, 3))

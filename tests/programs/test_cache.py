@@ -59,9 +59,9 @@ def test_long_programs_are_refused_before_they_are_compiled(folder, compilations
     assert not compilations
 
 
-def test_many_poses_are_worth_care(folder, compilations, monkeypatch):
+def test_code_that_runs_for_long_is_optimised(folder, compilations, monkeypatch):
     """Optimised code replaces the first, gives the same bits, and is the one loaded later."""
-    monkeypatch.setattr(llvm, "MANY_POSES", 100)
+    monkeypatch.setattr(llvm, "WORTH_OPTIMISING", 100 * llvm._SECONDS_EACH)
     inputs = np.random.default_rng(8).uniform(0.0, 10.0, size=(60, 1))
     program = cache.compiled(make(3.7))
     outputs = program(inputs)
@@ -81,7 +81,7 @@ def test_what_cannot_be_compiled_with_care_goes_on_without(folder, monkeypatch):
             raise ProgramError("no memory left")
         return original(program, lanes, careful)
 
-    monkeypatch.setattr(llvm, "MANY_POSES", 100)
+    monkeypatch.setattr(llvm, "WORTH_OPTIMISING", 100 * llvm._SECONDS_EACH)
     monkeypatch.setattr(llvm, "object_code", quickly_only)
     inputs = np.random.default_rng(8).uniform(0.0, 10.0, size=(60, 1))
     program = cache.compiled(make(3.7))
