@@ -1,13 +1,15 @@
-"""Logs of RepRapFirmware and Marlin: M665 and M666, and heights of the bed that were probed with G30.
+"""Logs of RepRapFirmware and Marlin: M665 and M666, and heights of the bed that were probed with G30 or G33.
 
 Both place the towers X, Y, Z at 210, 330 and 90 degrees, corrected by the X, Y, Z of M665. Arms of several lengths are
-L100:101:102 in RepRapFirmware, and L with the trims A, B, C in Marlin. The nozzle is at the height H when homed,
-corrected by M666 in RepRapFirmware; Marlin's M666 says how far each carriage moves back from its end stop, which is
-higher by as much. RepRapFirmware's A and B of M666 are slopes of the bed along x and y [%], which are kept.
+L100:101:102 in RepRapFirmware, and L with the trims A, B, C in Marlin 2; in Marlin 1, B alone is the radius of G33. The
+nozzle is at the height H when homed, corrected by M666 in RepRapFirmware; the M666 of Marlin says how far each carriage
+moves back from its end stop, which is higher by as much. The A and B of M666 in RepRapFirmware are slopes of the bed
+along x and y [%], which are kept.
 
 A probed height h at (x, y) means that the printer, as it was, took the nozzle to be at (x, y, h) when it touched the
 bed. Marlin writes "Bed X: 10.0 Y: 20.0 Z: 0.12"; for RepRapFirmware the G30 P... X... Y... lines of bed.g are paired
-with the numbers of its answer "bed probe heights: 0.12 -0.03 ...", without the mean and deviation at its end.
+with the numbers of its answer "bed probe heights: 0.12 -0.03 ...", without the mean and deviation at its end. Reports
+of Marlin's G33 are read by :mod:`~pm3dof_pin.printers.g33`; those with the same settings are read together.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import numpy as np
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
+from pm3dof_pin.printers.g33 import G33Reports
 from pm3dof_pin.printers.touches import Touches
 
 _NUMBER = r"[-+]?\d+(?:\.\d*)?|[-+]?\.\d+"
@@ -53,16 +56,16 @@ class GCodeLog:
 
     @property
     def most_parameters(self) -> int:
-        """Each tower's arms have a length of their own."""
-        return 9
+        """Each tower's arms have a length of their own, but in Marlin 1."""
+        return 9 if self._takes_trims else 7
 
     @classmethod
     def parse(cls, path: Path, text: str) -> GCodeLog:
-        """Read the last M665 and M666, and all heights after them.
+        """Read the last M665 and M666, or settings of G33, and all heights after them.
 
         Raises:
-            MeasurementError: heights and points of RepRapFirmware differ in number, a word is not a number, or M665 has
-                neither one arm length nor three.
+            MeasurementError: heights and points of RepRapFirmware differ in number, a word is not a number, M665 has
+                neither one arm length nor three, or heights of G33 are averages or at an unknown radius.
         """
         geometry: dict[str, float] = {}
         arms: tuple[float, ...] = ()
@@ -70,6 +73,7 @@ class GCodeLog:
         points: list[tuple[float, float]] = []
         probed: list[tuple[float, float, float]] = []
         firmware: Literal["RepRapFirmware", "Marlin"] = "RepRapFirmware"
+        reports, probed_with = G33Reports(path), dict[str, float]()
         for number, line in enumerate(text.splitlines(), start=1):
             code = _code(line)
             words = {letter: float(value) for letter, value in _WORD.findall(code.upper())}
@@ -93,6 +97,13 @@ class GCodeLog:
                     raise MeasurementError(path, problem, [number])
                 firmware = "Marlin"
                 probed.append((float(found[1]), float(found[2]), float(found[3])))
+            elif reported := reports.heights(line, number, geometry.get("B")):
+                firmware = "Marlin"
+                if reports.begins(line):
+                    if probed_with != reports.settings:
+                        probed, probed_with = [], dict(reports.settings)
+                    geometry, stops = geometry | reports.geometry, stops | reports.stops
+                probed += reported
             elif found := _HEIGHTS.search(line):
                 heights = [float(word) for word in re.findall(_NUMBER, found[1])]
                 if len(heights) != len(points):
@@ -113,7 +124,8 @@ class GCodeLog:
             raise MeasurementError(self.path, f"M665 without {', '.join(missing)}")
         angles = [math.radians(tower + self.geometry.get(a, 0.0)) for tower, a in zip(_TOWERS, _LETTERS, strict=True)]
         stops = [1e-3 * (self.geometry["H"] + self._sign * self.stops.get(letter, 0.0)) for letter in _LETTERS]
-        trims = [self.geometry.get(letter, 0.0) if self.firmware == "Marlin" else 0.0 for letter in _TRIMS]
+        has_trims = self.firmware == "Marlin" and self._takes_trims
+        trims = [self.geometry.get(letter, 0.0) if has_trims else 0.0 for letter in _TRIMS]
         arms = [1e-3 * (self.arms[k % len(self.arms)] + trim) for k, trim in enumerate(trims)]
         (a, b, c), (x, y, z), (one, two, three) = angles, stops, arms
         return DeltaPrinter(1e-3 * self.geometry["R"], (a, b, c), (one, two, three), (x, y, z))
@@ -126,7 +138,7 @@ class GCodeLog:
         """
         if not self.probed:
             raise MeasurementError(
-                self.path, "no heights of the bed after M665: Bed X: .. Y: .. Z: .., or bed probe heights"
+                self.path, "no heights of the bed after M665: Bed X: .. Y: .. Z: .., G33, or bed probe heights"
             )
         points = 1e-3 * np.array(self.probed)
         slope = [0.01 * self.stops.get(letter, 0.0) if self._sign > 0.0 else 0.0 for letter in "AB"]
@@ -142,7 +154,7 @@ class GCodeLog:
         turned = " ".join(f"{letter}{angle:.4f}" for letter, angle in zip(_LETTERS, angles, strict=True))
         arms, trims, kept = 1e3 * np.array(printer.arms), "", ""
         length = ":".join(f"{arm:.4f}" for arm in (arms if np.ptp(arms) > _SAME else arms[:1]))
-        if self.firmware == "Marlin":
+        if self.firmware == "Marlin" and self._takes_trims:
             length = f"{arms.mean():.4f}"
             trims = "".join(f" {a}{arm - arms.mean():.4f}" for a, arm in zip(_TRIMS, arms, strict=True))
         else:
@@ -152,6 +164,11 @@ class GCodeLog:
             f"{letter}{self._sign * (stop - height):.4f}" for letter, stop in zip(_LETTERS, stops.tolist(), strict=True)
         )
         return f"M665 L{length} R{1e3 * printer.radius:.4f} H{height:.4f}{trims} {turned}\nM666 {own}{kept}\n"
+
+    @property
+    def _takes_trims(self) -> bool:
+        """Whether arms may differ: in Marlin 1, whose M665 has B alone, they may not."""
+        return self.firmware != "Marlin" or "B" not in self.geometry or "A" in self.geometry or "C" in self.geometry
 
     @property
     def _sign(self) -> float:

@@ -209,7 +209,7 @@ def _replace_by_no_file(file: Path, generator: random.Random) -> None:
             file.touch(mode=0)
 
 
-_SAMPLES = ("export", "join", "ballbar", "rows", "klipper", "reprapfirmware", "marlin", "acceptance", "history")
+_SAMPLES = ("export", "join", "ballbar", "rows", "klipper", "reprapfirmware", "marlin", "g33", "acceptance", "history")
 
 
 class Input:
@@ -460,6 +460,12 @@ def write_samples(above: Path) -> Path:
     texts["marlin/printer.log"] = "M665 L215 R105 H240 X0.1 Y0 Z0 A0.1 B0 C-0.1\nM666 X-0.1 Y0 Z-0.3\n" + "".join(
         f"Bed X: {x:.2f} Y: {y:.2f} Z: {0.01 * k:.2f}\n" for k, (x, y) in enumerate(points)
     )
+    texts["g33/printer.log"] = (
+        "M665 L215 R105 H240 B85 X0.1 Y0 Z0\nM666 X-0.1 Y0 Z-0.3\n>>> G33 P3 V0\nChecking... AC (DRY-RUN)\n"
+        ".Height:240.00    Ex:-0.10  Ey:+0.00  Ez:-0.30    Radius:105.00\n"
+        ".Tower angle :    Tx:+0.10  Ty:+0.00  Tz:+0.00\n"
+        ".      c:+0.03     x:+0.32   y:+0.34   z:+0.41\n.                 yz:+0.37  zx:+0.32  xy:+0.17\n"
+    )
     texts["acceptance/positioning.csv"] = "target_m,direction,deviation_m\n" + "".join(
         f"{0.1 * target:.2f},{side},{1e-6 * (3 * target + side + run):.7f}\n"
         for run in range(3)
@@ -536,7 +542,7 @@ def inputs(calibrations: Sequence[Path] = (), samples: Path | None = None) -> di
         "ballbar": Input(of["ballbar"], "*.csv", _read_ballbar),
         "rows": Input(of["rows"], "*.csv", _read_rows),
         "klipper": Input(of["klipper"], "printer.*", _read_printer),
-        "gcode": Input([*of["reprapfirmware"], *of["marlin"]], "printer.*", _read_printer),
+        "gcode": Input([*of["reprapfirmware"], *of["marlin"], *of["g33"]], "printer.*", _read_printer),
         "acceptance": Input(of["acceptance"], "*", _read_acceptance),
         "history": Input(of["history"], "*", _read_history),
     }

@@ -346,6 +346,85 @@ def test_logs_of_g_code(firmware: str, arms: tuple[float, ...], tmp_path: Path) 
     np.testing.assert_allclose(np.ptp(found.after.arms), 1e-3 * np.ptp(arms), atol=2e-4)
 
 
+CIRCLE = {"x": 210.0, "y": 330.0, "z": 90.0, "yz": 30.0, "zx": 150.0, "xy": 270.0}
+
+
+def g33(believed: Delta, settings: str, radius: float) -> str:
+    """Return what G33 V0 prints of the true printer that believes itself another one."""
+
+    def height(r: float, angle: float) -> float:
+        x, y = r * np.cos(np.radians(angle)), r * np.sin(np.radians(angle))
+        return scipy.optimize.brentq(lambda z: TRUTH.nozzle(believed.travels(x, y, z))[2], -5.0, 5.0)
+
+    centre = np.mean([height(0.1 * radius, CIRCLE[tower]) for tower in "xyz"])
+    found = {"c": centre} | {name: height(radius, angle) for name, angle in CIRCLE.items()}
+    signed = {name: f"{name}:{value:+.2f}" if round(value, 2) else f"{name}: 0.00" for name, value in found.items()}
+    towers, opposite = ("  ".join(signed[name] for name in names) for names in ("cxyz", ("yz", "zx", "xy")))
+    return f"{settings}\n.      {towers}\n.                 {opposite}\nEnd DRY-RUN          std dev:0.306\n"
+
+
+def test_reports_of_g33(tmp_path: Path) -> None:
+    """Three circles that Marlin 2 probed with the same settings; what it reports afterwards is of other settings."""
+    believed = Delta(130.0, tuple(BASE + np.radians([0.1, 0.0, 0.0])), (270.0,) * 3, stops=(245.2, 245.0, 245.5))
+    before = ".Height:245.00  Ex:-0.20  Ey: 0.00  Ez:-0.50  Radius:130.00\n.             Tx:+0.10  Ty: 0.00  Tz: 0.00"
+    older = (
+        ".Height:245.00  Ex:-0.20  Ey: 0.00  Ez:-0.50  Radius:130.00\n.Tower angle :    Tx:+0.10  Ty: 0.00  Tz: 0.00"
+    )
+    after = ".Height:244.20  Ex:-0.90  Ey: 0.00  Ez:-0.10  Radius:131.00\n.             Tx:+0.20  Ty: 0.00  Tz: 0.00"
+    text = "echo:  M665 L270.00 R99.00 H240.00 S100 X0.00 Y0.00 Z0.00 A0.00 B0.00 C0.00\nSend: G33 P3 V3\n"
+    text += f"{after}\n.      c:+0.50  x:+0.50  y:+0.50  z:+0.50\n.   yz:+0.50  zx:+0.50  xy:+0.50\n"
+    for radius in (90.0, 70.0, 45.0):
+        text += f"G33 P3 V0 R{90 - radius:g}\nG33 Auto Calibrate\nChecking... AC at radius:{radius:.2f} (DRY-RUN)\n"
+        text += g33(believed, before if radius > 60.0 else older, radius)
+    path = tmp_path / "marlin.log"
+    path.write_text(
+        text + f"Calibration OK       rolling back.\n{after}\nSave with M500 and/or copy to Configuration.h\n"
+    )
+    found = calibrate_printer(path)
+    assert (found.file.firmware, len(found.heights_before)) == ("Marlin", 21)
+    np.testing.assert_allclose(1e3 * np.array(found.before.end_stops), [245.2, 245.0, 245.5], atol=1e-9)
+    assert np.degrees(found.before.angles[0]) == pytest.approx(210.1)
+    assert found.after.radius == pytest.approx(1e-3 * TRUTH.radius, abs=4e-4)
+    # its centre is the mean of three touches a tenth of the circle away, and all are rounded
+    assert np.abs(found.heights_after).max() < 2e-5 < 1e-4 < np.abs(found.heights_before).max()
+
+
+def test_marlin_1_has_one_arm_length_and_a_radius_of_g33(tmp_path: Path) -> None:
+    """The B of its M665 is no trim of an arm; G33's R makes the circle smaller."""
+    believed = Delta(130.0, tuple(BASE), (270.0,) * 3, stops=(245.0, 245.0, 245.0))
+    settings = (
+        ".Height:245.00  Ex: 0.00  Ey: 0.00  Ez: 0.00  Radius:130.00\n.Tower angle :    Tx: 0.00  Ty: 0.00  Tz: 0.00"
+    )
+    text = "M665 L270.00 R130.00 H245.00 S100.00 B90.00 X0.00 Y0.00 Z0.00\nM666 X0.00 Y0.00 Z0.00\n>>> G33 P3 V0 R10\n"
+    file = read_firmware(tmp_path / "marlin.log", text + g33(believed, settings, 80.0))
+    assert file.most_parameters == 7
+    printer = file.printer()
+    np.testing.assert_allclose(printer.arms, 0.27)
+    assert np.abs(file.touches(printer).travels - printer.drives(np.zeros((7, 3)))).max() > 0.0
+    x, y = 80.0 * np.cos(np.radians(210.0)), 80.0 * np.sin(np.radians(210.0))
+    z = scipy.optimize.brentq(lambda z: TRUTH.nozzle(believed.travels(x, y, z))[2], -5.0, 5.0)
+    expected = -1e-3 * np.array(believed.travels(x, y, round(z, 2)))
+    np.testing.assert_allclose(file.touches(printer).travels[1], expected, atol=1e-9)
+    written = file.with_printer(printer)
+    assert "B90" in written
+    assert " A" not in written
+    assert " C" not in written
+
+
+@pytest.mark.parametrize(
+    ("command", "radius", "problem"),
+    [
+        ("G33 P4 V0", "B80", "G33 P4: heights that may be averages"),
+        ("G33 V0", "B80", "G33 without P"),
+        ("G33 P3 V0", "", "unknown radius"),
+    ],
+)
+def test_heights_of_g33_at_no_known_place(command: str, radius: str, problem: str, tmp_path: Path) -> None:
+    text = f"M665 L270 R130 H245 {radius}\n{command}\n.      c:+0.03     x:+0.32   y:+0.34   z:+0.41\n"
+    with pytest.raises(MeasurementError, match=problem):
+        read_firmware(tmp_path / "marlin.log", text)
+
+
 def test_a_sloping_bed_of_reprapfirmware(tmp_path: Path) -> None:
     """M666 A and B [%]: the drives' frame is where z is higher by 0.01 (A x + B y), so a level printer touches at 0."""
     lines = ["M665 L270 R130 H245", "M666 X0 Y0 Z0 A0.4 B-0.2"]

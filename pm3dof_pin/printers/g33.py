@@ -1,0 +1,97 @@
+"""Reports of Marlin's G33: the settings of a delta printer, and heights of the bed at up to seven places.
+
+The places are the centre, c, and on a circle those before the towers, x, y and z, and opposite to them, yz, zx and xy.
+Heights belong to the settings that were reported before them: at the end of a calibration G33 reports others. With four
+points a side or more (P4 and above) each height is an average over a part of the circle, which hides the errors that
+are sought; P3 reports single touches, but for the centre: there it is the mean of three, a tenth of the circle away.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pm3dof_pin.exceptions import MeasurementError
+
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)"
+_COMMAND = re.compile(r"\bG33\b(?!\s*Auto)([^;]*)")
+_WORD = re.compile(rf"\b([PR])\s*({_NUMBER})")
+_RADIUS = re.compile(rf"Checking\.\.\. AC at radius:\s*({_NUMBER})")
+_SETTINGS = re.compile(r"\.(?:Height:|Tower angle\s*:|\s+Tx:)")
+_SETTING = re.compile(rf"\b(Height|Radius|[ET][xyz]):\s*({_NUMBER})(?![\w.])")
+_RESULTS = re.compile(r"\.\s+(?:c|yz):")
+_ROW = re.compile(rf"\.\s+((?:(?:c|[xyz]|yz|zx|xy):\s*{_NUMBER}\s*)+)$")
+_RESULT = re.compile(rf"(c|yz|zx|xy|[xyz]):\s*({_NUMBER})")
+_DIRECTIONS = {"x": 210.0, "xy": 270.0, "y": 330.0, "yz": 30.0, "z": 90.0, "zx": 150.0}
+_SINGLE = 3.0  # points a side that are not averaged
+
+
+@dataclass
+class G33Reports:
+    """What was reported up to some line."""
+
+    path: Path  #: the log
+    settings: dict[str, float] = field(default_factory=dict)  #: Height, Ex ... Ez, Radius, Tx ... Tz [mm, degrees]
+    _points: float | None = None  # P of the last command
+    _smaller: float = 0.0  # its R [mm]
+    _radius: float | None = None  # that was reported [mm]
+
+    @property
+    def geometry(self) -> dict[str, float]:
+        """The settings in the words of M665."""
+        words = {"H": "Height", "R": "Radius", "X": "Tx", "Y": "Ty", "Z": "Tz"}
+        return {word: self.settings[name] for word, name in words.items() if name in self.settings}
+
+    @property
+    def stops(self) -> dict[str, float]:
+        """The settings in the words of M666."""
+        words = {"X": "Ex", "Y": "Ey", "Z": "Ez"}
+        return {word: self.settings[name] for word, name in words.items() if name in self.settings}
+
+    def heights(self, line: str, number: int, radius: float | None) -> list[tuple[float, float, float]]:
+        """Read a line; return the places and heights that it reports [mm].
+
+        Args:
+            line: the line.
+            number: which one it is.
+            radius: of the circle if no line says it [mm].
+
+        Raises:
+            MeasurementError: a height is no number, is an average, or is of an unknown place.
+        """
+        if command := _COMMAND.search(line):
+            words = {letter: float(value) for letter, value in _WORD.findall(command[1])}
+            self._points, self._smaller, self._radius = words.get("P"), words.get("R", 0.0), None
+        elif found := _RADIUS.search(line):
+            self._radius = float(found[1])
+        elif _SETTINGS.search(line):
+            self.settings |= {name: float(value) for name, value in _SETTING.findall(line)}
+        if not _RESULTS.search(line):
+            return []
+        if not (row := _ROW.search(line.rstrip())):
+            raise MeasurementError(self.path, f"'{line.strip()}': expected numbers, as in c:+0.03 x:-0.12", [number])
+        if self._points is None or self._points > _SINGLE:
+            what = "G33 without P" if self._points is None else f"G33 P{self._points:g}"
+            problem = f"{what}: heights that may be averages over a part of the circle; expected those of G33 P3 V0"
+            raise MeasurementError(self.path, problem, [number])
+        around = self._radius
+        if around is None and radius is not None:
+            around = radius - self._smaller
+        if around is None:
+            problem = "the heights of G33 are at an unknown radius: add B (DELTA_CALIBRATION_RADIUS) to M665"
+            raise MeasurementError(self.path, problem, [number])
+        places = {name: np.radians(angle) for name, angle in _DIRECTIONS.items()}
+        return [
+            (around * np.cos(places[name]), around * np.sin(places[name]), float(height))
+            if name in places
+            else (0.0, 0.0, float(height))
+            for name, height in _RESULT.findall(row[1])
+        ]
+
+    @staticmethod
+    def begins(line: str) -> bool:
+        """Tell whether a line of heights is the first of a report: the others have no centre."""
+        return bool(re.search(r"\bc:", line))
