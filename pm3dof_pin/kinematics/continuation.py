@@ -35,8 +35,9 @@ from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.null_motions import NullMotions
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
-from pm3dof_pin.kinematics.pose_search import Solution, waypoints
+from pm3dof_pin.kinematics.pose_search import Solution, find_poses, waypoints
 from pm3dof_pin.kinematics.reference import assemble_at
 from pm3dof_pin.programs.closing import Task, regularity_and_mode
 from pm3dof_pin.programs.llvm import Walked
@@ -50,7 +51,6 @@ _DAMPED_STEPS = 50  # per round
 _DAMPED_ROUNDS = 20
 _AT_REST = 0.99  # ratio of squared errors after and before a round that has settled
 _DAMPING = 0.1  # of the first damped step
-_FEW = 100  # poses that the damped solver on Pinocchio's Jacobians may find in a second or two
 _MAX_SHARE = 20.0  # largest weight in a prediction; that of equally spaced poses is 6
 _AT_ONCE = 4096  # poses per block, to stay in cache
 
@@ -76,6 +76,11 @@ class Continuation:
         self._task = Task.from_coordinates(self._coordinates)
         self._step = source.walk(robot, self._task)
         self._checks = source.checks(robot)
+        self._null_motions: NullMotions | None = None
+        if robot.has_branches and robot.has_null_motions(self._coordinates):
+            commands = [robot.command_coordinates[k] for k in robot.placing_drives]
+            solver = Continuation(robot, commands)
+            self._null_motions = NullMotions(robot, self._coordinates, commands, solver, self.read)
 
     @property
     def operations(self) -> int:
@@ -124,7 +129,9 @@ class Continuation:
         q = np.tile(self._home, (len(targets), 1)) if starts is None else np.array(starts, dtype=float)
         for first in range(0, len(q), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
-            if thorough:
+            if self._null_motions is not None:
+                q[part] = self._null_motions.poses(targets[part], q[part], keep_branch=keep_branch)
+            elif thorough:
                 self._solve_each(q[part], targets[part], home_too=home_too, keep_branch=keep_branch)
             else:
                 q[part] = self._reached(q[part], targets[part], _SHORTEST_QUICK_LEG, keep_branch=keep_branch)[0]
@@ -136,7 +143,9 @@ class Continuation:
 
     @cached_property
     def lattice(self) -> tuple[Matrix, Matrix]:
-        """Values and poses of a lattice around home."""
+        """Values and poses of a lattice around home, or at random commands of drives with null motions."""
+        if self._null_motions is not None:
+            return self._null_motions.samples()
         return waypoints(
             self._robot, self._coordinates, self._home, lambda starts, targets: self._reached(starts, targets)[0]
         )
@@ -145,14 +154,10 @@ class Continuation:
         """Walk from q to the targets, in place; permitted damped steps start from there and from home."""
         found, ends = self._reached(q, targets, keep_branch=keep_branch)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
-        closed = failed[:0]  # at the start, whose branch is to be kept
         if self._robot.has_branches and failed.size:
-            is_open = np.isnan(self._check(q[failed]).q[:, 0])
-            closed, failed = failed[~is_open], failed if self._has_null_motions else failed[is_open]
+            failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]
         if failed.size:
             found[failed] = self._damped(ends[failed], targets[failed], home_too=home_too)
-            if keep_branch and self._has_null_motions and closed.size:
-                found[closed[self._branches(found[closed]) != self._branches(q[closed])]] = np.nan
         q[:] = found
 
     def _reached(
@@ -174,10 +179,6 @@ class Continuation:
         return numbers
 
     @cached_property
-    def _has_null_motions(self) -> bool:
-        return self._robot.has_null_motions(self._coordinates)
-
-    @cached_property
     def _home_branch(self) -> np.int64:
         """Number of home's branch in the programs, which are the prototype's; zero unless its home is another."""
         return np.int64(self._branches(self._home[None])[0])
@@ -197,8 +198,6 @@ class Continuation:
             rows = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(numbers).all(axis=1))
             ends, moving = self._damped_ends(starts[rows], numbers[rows])
             closed = self._residuals(ends, targets[rows]) <= self._robot.closure_tolerance
-            if self._has_null_motions and len(rows) <= _FEW:  # a singular home holds damped steps up
-                moving[:] = True
             undecided = ~closed & moving
             for k in np.flatnonzero(undecided):
                 result = assemble_at(self._robot, self._coordinates, targets[rows[k]], starts[rows[k]])
@@ -259,7 +258,10 @@ class Continuation:
         first = tuple(int(np.abs(axis - at_home[name]).argmin()) for name, axis in grid.axes.items())
         q = np.empty((*shape, self._nq))  # filled completely below
         nearest = self._home[None].copy()
-        self._solve_each(nearest, values[first][None], home_too=True, keep_branch=keep_branch)
+        if self._null_motions is None:
+            self._solve_each(nearest, values[first][None], home_too=True, keep_branch=keep_branch)
+        else:
+            nearest = find_poses(self._robot, self._coordinates, values[first][None], None, self).q
         q[first] = nearest[0]
         numbers = self._given_numbers(values)
         for dimension, axis in enumerate(grid.axes.values()):
@@ -306,10 +308,11 @@ class Continuation:
                 return
             untried &= ~frontier
             found = starts[frontier]
-            if self._has_null_motions:  # damped steps of a whole grid take too long
-                found = self._reached(found, values[frontier], keep_branch=keep_branch)[0]
-            else:
-                self._solve_each(found, values[frontier], keep_branch=keep_branch)
+            self._solve_each(found, values[frontier], keep_branch=keep_branch)
+            if self._null_motions is not None:  # joints kept at rest make poses singular that are not
+                lost = np.isnan(found[:, 0])
+                targets, neighbours = values[frontier][lost], starts[frontier][lost]
+                found[lost] = self._null_motions.poses(targets, neighbours, keep_branch=keep_branch)
             q[frontier] = found
 
     def _given_numbers(self, values: Array) -> Array:

@@ -17,6 +17,7 @@ from pm3dof_pin.typing import Array, Matrix, Vector
 
 _ROUNDING = 1e-9
 _FURTHER_STARTS = 16  # for the inverse kinematics of a serial arm
+_NEAREST = 4  # poses from which one is sought, of many that serve
 _WAYPOINTS = 1000
 _FEWEST_ALONG, _MAX_WAYPOINTS = 3, 10_000  # along each coordinate; in all, or there are none
 _WIDTH = 3.0  # of the waypoint lattice on both sides of home, unless joints end earlier [characteristic lengths]
@@ -148,15 +149,16 @@ def _waypoint_lattice(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...
 
 def _nearest_poses(
     robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], values: Matrix, q: Matrix, targets: Matrix
-) -> Matrix:
-    """Return the pose q whose coordinates are nearest to each target, shape=(n, nq); NaN if there is none."""
-    if not len(q):
-        return np.full((len(targets), robot.model.nq), np.nan)
+) -> Iterator[Matrix]:
+    """Yield the poses q whose coordinates are nearest to each target, shape=(n, nq), then others if any serves."""
     from scipy.spatial import KDTree  # slow to load
 
+    count = min(_NEAREST if robot.has_null_motions(coordinates) else 1, len(q))
     units = coordinate_scales(robot, coordinates)
-    _, nearest = KDTree(values / units).query(np.nan_to_num(targets / units), p=np.inf)
-    return np.asarray(q[nearest])
+    if count:
+        ranks = np.arange(1, count + 1)
+        _, nearest = KDTree(values / units).query(np.nan_to_num(targets / units), k=ranks, p=np.inf)
+        yield from (q[numbers] for numbers in nearest.T)
 
 
 def _within_arms_length(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Matrix:
@@ -178,7 +180,7 @@ def _further_starts(
     have holes, which walks must go around.
     """
     if robot.has_branches:
-        yield _nearest_poses(robot, coordinates, *solver.lattice, targets)
+        yield from _nearest_poses(robot, coordinates, *solver.lattice, targets)
     elif any(coordinate.tool is not None for coordinate in coordinates):
         shape = (_FURTHER_STARTS, robot.model.nv)
         for motion in np.random.default_rng(0).uniform(-np.pi, np.pi, shape) * robot.velocity_scale:

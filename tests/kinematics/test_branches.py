@@ -237,6 +237,31 @@ def test_more_drives_than_the_tool_has_motions(count, tmp_path):
         robot_space(robot)
 
 
+@pytest.mark.parametrize("count", [7, 12])
+def test_many_poses_of_more_drives_than_the_tool_has_motions(count, tmp_path):
+    """What commands reach is found in large batches, from other poses, and on a grid around a regular pose."""
+    robot = Robot.load(four_bars(count).write(tmp_path))
+    made = robot.forward(np.random.default_rng(1).uniform(-0.4, 0.4, (300, count)))
+    for guess in (None, np.roll(made.q, 1, axis=0)):
+        poses = robot.solve(made.coordinates, guess=guess, on_failure="nan")
+        assert poses.solved.mean() > (0.98 if guess is None else 0.8)
+        found = poses.solved
+        np.testing.assert_allclose(poses.transforms[found], made.transforms[found], atol=1e-9)
+        assert not poses.branch[found].any()
+    x, y, z, *angles = made.coordinates[0]
+    size = 0.01 * robot.characteristic_length
+    grid = robot.grid(
+        x=(x - size, x + size, 5),
+        y=(y - size, y + size, 5),
+        z=z,
+        **dict(zip(("rx", "ry", "rz"), map(float, angles), strict=True)),
+    )
+    alone = robot.solve(grid.values.reshape(-1, 6), on_failure="nan").solved
+    marched = robot.solve(grid, on_failure="nan").solved.ravel()
+    assert alone.mean() > 0.9
+    assert (marched | ~alone).mean() > 0.85
+
+
 def test_the_reference_finds_the_same_poses_without_any_compiled_code(tmp_path):
     robot = load("linear_delta")
     ranges = np.array([robot.range_of(command) for command in robot.commands])
