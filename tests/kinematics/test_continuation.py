@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +17,9 @@ from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.reference import assemble_at
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import llvm, walk
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import arm
 
 MACHINES = Path(__file__).parents[1] / "machines"
 ROBOTS = ("pm3dof", "hexapod", "three_rps", "delta", "five_bar", "four_bar", "walker", "ur5")
@@ -336,3 +340,23 @@ def test_a_serial_arm_reaches_wherever_its_joints_lead(engine, count):
     found = robot.reach(wanted, engine=engine)
     np.testing.assert_allclose(found.transforms, wanted, atol=1e-9)
     assert found.within_limits.all()  # every joint may make a full turn
+
+
+def test_poses_out_of_an_arms_reach_are_given_up_by_programs(tmp_path, monkeypatch):
+    """Seven joints as six: the solver on Pinocchio's Jacobians, a thousand times slower, decides few of many poses."""
+    calls = []
+
+    def counted(*arguments):
+        calls.append(arguments)
+        return assemble_at(*arguments)
+
+    monkeypatch.setattr(f"{Continuation.__module__}.assemble_at", counted)
+    robot = Robot.load(arm(7).write(tmp_path))
+    generator = np.random.default_rng(3)
+    radius = 0.95 * robot.arm_reach[1]
+    away = generator.standard_normal((60, 3))
+    positions = robot.arm_reach[0] + radius * away / np.linalg.norm(away, axis=1)[:, None]
+    targets = np.hstack([positions, generator.uniform(-1.5, 1.5, (60, 3))])
+    found = robot.continuation(robot.coordinates).walk(targets)
+    assert np.isnan(found.q[:, 0]).mean() > 0.9
+    assert len(calls) < 10
