@@ -31,11 +31,13 @@ _ALIGNED = 64  # bytes
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, do not justify a thread
 
 _SECONDS_EACH = 3e-10  # of an operation for one pose in code compiled quickly
-WORTH_OPTIMISING = 3e-5
+WORTH_OPTIMISING = 5e-6
 """Seconds of running, per operation of the program, from which it is compiled with full optimisation.
 
-That takes three times as long. But large batches seldom come alone, and the code is cached.
+That takes twenty times as long, but large batches seldom come alone, and the code is cached. Long programs, for which
+one would wait, must run for up to six times as long.
 """
+_SHORT = 5_000  # operations, which are optimised in half a second
 
 
 class Target(NamedTuple):
@@ -344,7 +346,8 @@ class Compiled:
             raise ShapeError("parameters", shared.shape, expected)
         n = len(rows)
         ahead = n * length * len(self.program) * _SECONDS_EACH
-        if self._faster is not None and self._seconds + ahead > WORTH_OPTIMISING * len(self.program):
+        patience = min(max(1.0, (len(self.program) / _SHORT) ** 2), 6.0)
+        if self._faster is not None and self._seconds + ahead > WORTH_OPTIMISING * patience * len(self.program):
             faster, self._faster = self._faster, None
             try:
                 self._load(faster())
