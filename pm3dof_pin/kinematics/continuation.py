@@ -155,7 +155,7 @@ class Continuation:
         found, ends = self._reached(q, targets, keep_branch=keep_branch)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
         if self._robot.has_branches and failed.size:
-            failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]
+            failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]  # open at the start
         if failed.size:
             found[failed] = self._damped(ends[failed], targets[failed], home_too=home_too)
         q[:] = found
@@ -261,7 +261,8 @@ class Continuation:
         if self._null_motions is None:
             self._solve_each(nearest, values[first][None], home_too=True, keep_branch=keep_branch)
         else:
-            nearest = find_poses(self._robot, self._coordinates, values[first][None], None, self).q
+            target = values[first][None]
+            nearest = find_poses(self._robot, self._coordinates, target, None, self, keep_branch=keep_branch).q
         q[first] = nearest[0]
         numbers = self._given_numbers(values)
         for dimension, axis in enumerate(grid.axes.values()):

@@ -99,7 +99,7 @@ class NullMotions:
         return np.where((np.abs(error).max(axis=1, initial=0.0) <= _REACHED)[:, None], q, np.nan)
 
     def _errors(self, q: Matrix, targets: Matrix) -> Matrix:
-        """Return how far coordinates are from targets, scaled, shape=(n, k); NaN where there is no pose."""
+        """Return the scaled errors of the coordinates, shape=(n, k); NaN where there is no pose."""
         errors = np.full_like(targets, np.nan)
         known = np.isfinite(q[:, 0])
         errors[known] = self._changes(self._read(q[known]), targets[known])

@@ -60,7 +60,7 @@ class G33Reports:
             radius: of the circle if no line says it [mm].
 
         Raises:
-            MeasurementError: a height is no number, is an average, or is of an unknown place.
+            MeasurementError: a height is no number, may be an average, or was probed at an unknown radius.
         """
         if command := _COMMAND.search(line):
             words = {letter: float(value) for letter, value in _WORD.findall(command[1])}
@@ -81,7 +81,7 @@ class G33Reports:
         if around is None and radius is not None:
             around = radius - self._smaller
         if around is None:
-            problem = "the heights of G33 are at an unknown radius: add B (DELTA_CALIBRATION_RADIUS) to M665"
+            problem = "heights of G33 at an unknown radius: add B (DELTA_CALIBRATION_RADIUS) to M665, and no A or C"
             raise MeasurementError(self.path, problem, [number])
         places = {name: np.radians(angle) for name, angle in _DIRECTIONS.items()}
         return [

@@ -97,7 +97,7 @@ class GCodeLog:
                     raise MeasurementError(path, problem, [number])
                 firmware = "Marlin"
                 probed.append((float(found[1]), float(found[2]), float(found[3])))
-            elif reported := reports.heights(line, number, geometry.get("B")):
+            elif reported := reports.heights(line, number, _radius_of_g33(geometry)):
                 firmware = "Marlin"
                 if reports.begins(line):
                     if probed_with != reports.settings:
@@ -168,11 +168,16 @@ class GCodeLog:
     @property
     def _takes_trims(self) -> bool:
         """Whether arms may differ: in Marlin 1, whose M665 has B alone, they may not."""
-        return self.firmware != "Marlin" or "B" not in self.geometry or "A" in self.geometry or "C" in self.geometry
+        return self.firmware != "Marlin" or _radius_of_g33(self.geometry) is None
 
     @property
     def _sign(self) -> float:
         return 1.0 if self.firmware == "RepRapFirmware" else -1.0
+
+
+def _radius_of_g33(geometry: dict[str, float]) -> float | None:
+    """Return the B of Marlin 1's M665, which stands alone; beside A or C it is a trim of Marlin 2."""
+    return None if "A" in geometry or "C" in geometry else geometry.get("B")
 
 
 def _code(line: str) -> str:

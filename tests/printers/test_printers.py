@@ -371,7 +371,8 @@ def test_reports_of_g33(tmp_path: Path) -> None:
         ".Height:245.00  Ex:-0.20  Ey: 0.00  Ez:-0.50  Radius:130.00\n.Tower angle :    Tx:+0.10  Ty: 0.00  Tz: 0.00"
     )
     after = ".Height:244.20  Ex:-0.90  Ey: 0.00  Ez:-0.10  Radius:131.00\n.             Tx:+0.20  Ty: 0.00  Tz: 0.00"
-    text = "echo:  M665 L270.00 R99.00 H240.00 S100 X0.00 Y0.00 Z0.00 A0.00 B0.00 C0.00\nSend: G33 P3 V3\n"
+    text = "echo:  M665 L270.00 R99.00 H240.00 S100 X0.00 Y0.00 Z0.00 A0.00 B0.00 C0.00\n"
+    text += "Send: G33 P3 V3\nChecking... AC at radius:90.00\n"
     text += f"{after}\n.      c:+0.50  x:+0.50  y:+0.50  z:+0.50\n.   yz:+0.50  zx:+0.50  xy:+0.50\n"
     for radius in (90.0, 70.0, 45.0):
         text += f"G33 P3 V0 R{90 - radius:g}\nG33 Auto Calibrate\nChecking... AC at radius:{radius:.2f} (DRY-RUN)\n"
@@ -417,6 +418,7 @@ def test_marlin_1_has_one_arm_length_and_a_radius_of_g33(tmp_path: Path) -> None
         ("G33 P4 V0", "B80", "G33 P4: heights that may be averages"),
         ("G33 V0", "B80", "G33 without P"),
         ("G33 P3 V0", "", "unknown radius"),
+        ("G33 P3 V0", "A0 B0 C0", "unknown radius"),  # trims of Marlin 2
     ],
 )
 def test_heights_of_g33_at_no_known_place(command: str, radius: str, problem: str, tmp_path: Path) -> None:
