@@ -19,9 +19,9 @@ from pm3dof_pin.cli.instrument_options import TargetOffsets
 from pm3dof_pin.cli.options import ColumnsOf, Json
 from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import PictureFormat, save
+from pm3dof_pin.printers.firmware import is_of_firmware
 from pm3dof_pin.printers.printer_calibration import calibrate_printer
 
-_FIRMWARE = (".cfg", ".g", ".gcode", ".log")
 _ROOMS = ("pm3dof_pin.csv_table", "pm3dof_pin.measuring", "pm3dof_pin.calibration")
 
 
@@ -31,7 +31,7 @@ MethodName: TypeAlias = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
 
 def calibrate(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Measurements (CSV), or a printer's printer.cfg or log.")
+        Path, typer.Argument(metavar="FILE", help="Measurements (CSV), or a printer's printer.cfg, config.g or log.")
     ],
     out: Annotated[Path, typer.Option(help="Output folder; an earlier calibration in it is replaced.")],
     which: RobotErrorsOptions,
@@ -83,9 +83,10 @@ def calibrate(
 ) -> None:
     """Calibrate a machine from measurements: parameters, corrections, a calibrated URDF and a report.
 
-    Or a delta printer from touches of its bed: FILE is Klipper's printer.cfg, or a log with M665, M666 and G30.
+    Or a delta printer from touches of its bed: FILE is Klipper's printer.cfg, a log with M665, M666 and G30, or the
+    config.g of a Duet beside its heightmap.csv.
     """
-    if file.suffix.lower() in _FIRMWARE:
+    if is_of_firmware(file):
         _calibrate_printer(file, out, bed_mesh=bed_mesh, force=force, as_json=as_json)
         return
 
@@ -122,10 +123,17 @@ def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as
     sizes = ", ".join(f"{1e6 * value:z.0f} µm with {count}" for count, value in summary["held_out_rms_m"].items())
     far = f" and {summary['distances']} distances" if summary["distances"] else ""
     lines = [
-        f"{summary['firmware']}, {summary['touches']} touches{far}",
+        f"{summary['firmware']}, {summary['touches']} touches{far}, up to "
+        f"{1e3 * summary['touched_radius_m']:.0f} mm from the centre",
         f"error of a touch, held out: {sizes} parameters; {summary['parameters_chosen']} are taken",
         f"height error, rms: {1e6 * summary['height_error_before_rms_m']:z.0f} µm before, "
         f"{1e6 * summary['height_error_held_out_rms_m']:.0f} µm after ({low:.0f} to {high:.0f} with 95 % probability)",
+        *(
+            f"{count} parameters are not taken: {', '.join(names)} would be off by more than a ruler misses, and the "
+            "bow of a bed looks the same"
+            for count, names in summary["parameters_beyond_a_ruler"].items()
+        ),
+        f"size of prints: {100.0 * (summary['print_scale'] - 1.0):+z.2f} %; heights tell it hardly, so measure a print",
         *(f"not determined by these touches: {words}" for words in summary["not_determined"]),
     ]
     if bed_mesh:
@@ -140,7 +148,7 @@ def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as
         rows.append([name, f"{scale * change['value']:+.4f}", f"{scale * change['sigma_of_the_data']:z.4f}", unit])
     lines += ["", *table_lines(["parameter", "change", "sigma", "unit"], rows)]
     print_result({"directory": str(folder)} | summary, lines, as_json=as_json)
-    message(f"wrote {folder / file.name}")
+    message(f"wrote {folder / found.file.path.name}")
 
 
 @contextmanager

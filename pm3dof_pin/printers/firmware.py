@@ -7,11 +7,15 @@ from pathlib import Path
 from typing import Protocol
 
 from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.files import read_text
 from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
+from pm3dof_pin.printers.duet import CONFIG, HEIGHT_MAP, DuetBackup, is_height_map
 from pm3dof_pin.printers.klipper import KlipperFile
 from pm3dof_pin.printers.m665 import GCodeLog
 from pm3dof_pin.printers.touches import Touches
+
+_SUFFIXES = (".cfg", ".g", ".gcode", ".log")
 
 
 class FirmwareFile(Protocol):
@@ -47,6 +51,15 @@ class FirmwareFile(Protocol):
         """Return the text of a file with another printer's numbers, and a mesh if it takes one."""
 
 
+def is_of_firmware(path: Path) -> bool:
+    """Tell whether a file is one of a printer's firmware, and not a table of measurements.
+
+    Raises:
+        FileFormatError: it cannot be read.
+    """
+    return path.suffix.lower() in _SUFFIXES or is_height_map(read_text(path))
+
+
 def read_firmware(path: Path, text: str) -> FirmwareFile:
     """Return what a file is.
 
@@ -55,8 +68,12 @@ def read_firmware(path: Path, text: str) -> FirmwareFile:
     """
     if re.search(r"^\[printer\]", text, re.MULTILINE | re.IGNORECASE):
         return KlipperFile.parse(path, text)
+    if is_height_map(text):
+        return DuetBackup.of(path.with_name(CONFIG), path)
     if "M665" in text:
-        return GCodeLog.parse(path, text)
+        log = GCodeLog.parse(path, text)
+        height_map = path.with_name(HEIGHT_MAP)
+        return log if log.probed or not height_map.is_file() else DuetBackup.of(path, height_map)
     raise MeasurementError(
         path, "neither Klipper's section [printer] nor M665 of RepRapFirmware or Marlin: no delta printer"
     )

@@ -4,19 +4,20 @@ Both place the towers X, Y, Z at 210, 330 and 90 degrees, corrected by the X, Y,
 L100:101:102 in RepRapFirmware, and L with the trims A, B, C in Marlin 2; in Marlin 1, B alone is the radius of G33. The
 nozzle is at the height H when homed, corrected by M666 in RepRapFirmware; the M666 of Marlin says how far each carriage
 moves back from its end stop, which is higher by as much. The A and B of M666 in RepRapFirmware are slopes of the bed
-along x and y [%], which are kept.
+along x and y [%], which are kept, as are the arms and end stops U, V, W of more towers.
 
 A probed height h at (x, y) means that the printer, as it was, took the nozzle to be at (x, y, h) when it touched the
 bed. Marlin writes "Bed X: 10.0 Y: 20.0 Z: 0.12"; for RepRapFirmware the G30 P... X... Y... lines of bed.g are paired
-with the numbers of its answer "bed probe heights: 0.12 -0.03 ...", without the mean and deviation at its end. Reports
-of Marlin's G33 are read by :mod:`~pm3dof_pin.printers.g33`; those with the same settings are read together.
+with the numbers of its answer "bed probe heights: 0.12 -0.03 ...", without the mean and deviation at its end. These
+points are the probe's, from which the nozzle is away by the X and Y of G31. Reports of Marlin's G33 are read by
+:mod:`~pm3dof_pin.printers.g33`; those with the same settings are read together.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -50,6 +51,7 @@ class GCodeLog:
     arms: tuple[float, ...]  #: its L, one length or that of each tower [mm]
     stops: dict[str, float]  #: the last M666 [mm, %]
     probed: tuple[tuple[float, float, float], ...]  #: points and heights [mm]
+    probe: dict[str, float]  #: the last X and Y of G31: the probe's place, seen from the nozzle [mm]
 
     takes_mesh = False
     meshes = ()
@@ -65,11 +67,12 @@ class GCodeLog:
 
         Raises:
             MeasurementError: heights and points of RepRapFirmware differ in number, a word is not a number, M665 has
-                neither one arm length nor three, or heights of G33 are averages or at an unknown radius.
+                neither one arm length nor one a tower, or heights of G33 are averages or at an unknown radius.
         """
         geometry: dict[str, float] = {}
         arms: tuple[float, ...] = ()
         stops: dict[str, float] = {}
+        probe: dict[str, float] = {}
         points: list[tuple[float, float]] = []
         probed: list[tuple[float, float, float]] = []
         firmware: Literal["RepRapFirmware", "Marlin"] = "RepRapFirmware"
@@ -86,11 +89,15 @@ class GCodeLog:
                 geometry |= words
                 if lengths := _ARMS.search(code.upper()):
                     arms = tuple(float(length) for length in lengths[1].split(":"))
-                    if len(arms) not in (1, 3):
-                        raise MeasurementError(path, f"M665 L has {len(arms)} lengths; expected one, or one a tower")
+                    if len(arms) == 2:  # more than three belong to towers that do not carry the nozzle
+                        raise MeasurementError(path, "M665 L has 2 lengths; expected one, or one a tower", [number])
                 probed = []
             elif "M666" in code:
                 stops |= words
+            elif "G31" in code and not words.get("K"):  # of the first probe
+                if re.search(rf"[XY](?!\s*(?:{_NUMBER}))", code.upper()):
+                    raise MeasurementError(path, f"'{code.strip()}': expected numbers after X and Y", [number])
+                probe |= {letter: words[letter] for letter in "XY" if letter in words}
             elif "Bed X:" in line:
                 if not (found := _MARLIN.search(line)):
                     problem = f"'{line.strip()}': expected numbers, as in Bed X: 10.0 Y: 20.0 Z: 0.12"
@@ -112,7 +119,13 @@ class GCodeLog:
                 probed += [(x, y, height) for (x, y), height in zip(points, heights, strict=True)]
             elif is_point and {"X", "Y"} <= set(words):
                 points.append((words["X"], words["Y"]))
-        return cls(path, firmware, geometry, arms, stops, tuple(probed))
+        return cls(path, firmware, geometry, arms, stops, tuple(probed), probe)
+
+    def then(self, later: GCodeLog) -> GCodeLog:
+        """Return what holds after the settings of another log too, with the heights of both."""
+        geometry, stops = self.geometry | later.geometry, self.stops | later.stops
+        arms, probed = later.arms or self.arms, self.probed + later.probed
+        return replace(self, geometry=geometry, arms=arms, stops=stops, probed=probed, probe=self.probe | later.probe)
 
     def printer(self) -> DeltaPrinter:
         """Return the printer.
@@ -137,10 +150,9 @@ class GCodeLog:
             MeasurementError: there are none.
         """
         if not self.probed:
-            raise MeasurementError(
-                self.path, "no heights of the bed after M665: Bed X: .. Y: .. Z: .., G33, or bed probe heights"
-            )
-        points = 1e-3 * np.array(self.probed)
+            ways = "Bed X: .. Y: .. Z: .., G33, bed probe heights, or heightmap.csv beside it"
+            raise MeasurementError(self.path, f"no heights of the bed after M665: {ways}")
+        points = 1e-3 * (np.array(self.probed) - [*(self.probe.get(letter, 0.0) for letter in "XY"), 0.0])
         slope = [0.01 * self.stops.get(letter, 0.0) if self._sign > 0.0 else 0.0 for letter in "AB"]
         bed = points[:, :2] @ slope  # its height where the drives' frame is level
         travels = printer.drives(points + bed[:, None] * [0.0, 0.0, 1.0]) - printer.at_end_stops
@@ -153,13 +165,15 @@ class GCodeLog:
         angles = [math.degrees(angle) - tower for angle, tower in zip(printer.angles, _TOWERS, strict=True)]
         turned = " ".join(f"{letter}{angle:.4f}" for letter, angle in zip(_LETTERS, angles, strict=True))
         arms, trims, kept = 1e3 * np.array(printer.arms), "", ""
-        length = ":".join(f"{arm:.4f}" for arm in (arms if np.ptp(arms) > _SAME else arms[:1]))
+        own_lengths = np.ptp(arms) > _SAME or len(self.arms) > len(arms)
+        lengths = [f"{arm:.4f}" for arm in (arms if own_lengths else arms[:1])]
+        length = ":".join([*lengths, *(f"{arm:g}" for arm in self.arms[len(arms) :])])
         if self.firmware == "Marlin" and self._takes_trims:
             length = f"{arms.mean():.4f}"
             trims = "".join(f" {a}{arm - arms.mean():.4f}" for a, arm in zip(_TRIMS, arms, strict=True))
         else:
             trims = f" B{self.geometry['B']:g}" if "B" in self.geometry else ""
-            kept = "".join(f" {letter}{self.stops[letter]:g}" for letter in "AB" if letter in self.stops)
+            kept = "".join(f" {letter}{self.stops[letter]:g}" for letter in "ABUVW" if letter in self.stops)
         own = " ".join(
             f"{letter}{self._sign * (stop - height):.4f}" for letter, stop in zip(_LETTERS, stops.tolist(), strict=True)
         )
@@ -183,5 +197,5 @@ def _radius_of_g33(geometry: dict[str, float]) -> float | None:
 def _code(line: str) -> str:
     """Return a line from the command that is read on, without comments; else all of it."""
     words = re.sub(r"\([^)]*\)", "", line.split(";", 1)[0])
-    found = re.search(r"M665|M666|\bG30\b", words)
+    found = re.search(r"M665|M666|\bG3[01]\b", words)
     return words[found.start() :] if found else words

@@ -1,8 +1,9 @@
 """Calibration of a delta printer from touches of its bed, in the parameters of its own firmware.
 
-Of the firmware's sets of parameters the smallest is taken whose error at touches held out is within one standard error
-of the best set's (the rule of L. Breiman et al., Classification and Regression Trees, 1984). Heights determine the
-lengths of arms hardly: an error of all arms hides behind radius and end stops.
+Of the firmware's sets of parameters that move nothing by more than a ruler would have missed, the smallest is taken
+whose error at touches held out is within one standard error of the best one's (the rule of L. Breiman et al.,
+Classification and Regression Trees, 1984). Heights determine the lengths of arms hardly: an error of all arms hides
+behind radius and end stops, and the bow of a bed looks like one, with which prints would change their size.
 """
 
 from __future__ import annotations
@@ -39,8 +40,10 @@ from pm3dof_pin.typing import Array
 
 _FOLDS = 10
 _FAILURES = (ConvergenceError, SingularConfigurationError, UnreachablePoseError)
+_RING = 24  # points
 _ROBUST = 3  # touches a parameter from which outliers can be told
 _OUTLIER = 6.0  # times the median size of held-out errors: one in 20,000 normal ones
+_MISSED = 2.0  # tolerances, by which a number may be wrong unnoticed
 _PROBABILITIES = np.array([0.025, 0.975])
 _SUMMARY = "calibration.yaml"
 
@@ -74,11 +77,12 @@ class PrinterCalibration:
     after: DeltaPrinter  #: the printer with identified parameters
     touches: Touches
     choices: tuple[Choice, ...]  #: the sets of parameters that were compared
+    implausible: dict[int, tuple[str, ...]]  #: parameters that a set would move by more than a ruler misses
     chosen: Choice  #: the set that was taken
     identification: Identification
+    identification_of_all: Identification  #: of the largest set
     heights_before: Array  #: touched heights minus those of the printer as it was, shape=(touches,) [m]
     heights_after: Array  #: the same of the calibrated printer [m]
-    undetermined: tuple[str, ...]  #: combinations of all of the firmware's parameters that the touches do not determine
     mesh: BedMesh | None = None  #: what no parameter can express, if asked for and seen by the touches
 
     @property
@@ -97,6 +101,26 @@ class PrinterCalibration:
         return float(low), float(high)
 
     @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Combinations of all of the firmware's parameters that the touches do not determine."""
+        return self.identification_of_all.identifiability.unidentified
+
+    @property
+    def touched_radius(self) -> float:
+        """Distance of the farthest touch from the centre of the bed [m]."""
+        return float(np.max(np.hypot(*_places(self.touches.travels, self.identification.errors.robot).T)))
+
+    @property
+    def print_scale(self) -> float:
+        """Size of prints with the new numbers, relative to those with the old ones."""
+        angles = np.linspace(0.0, 2.0 * np.pi, _RING, endpoint=False)
+        outwards = np.column_stack([np.cos(angles), np.sin(angles)])
+        radius = 0.5 * self.touched_radius
+        travels = self.before.drives(np.column_stack([radius * outwards, np.zeros(_RING)])) - self.before.at_end_stops
+        moved = _places(travels, self.identification.errors.apply(self.identification.values))
+        return radius / float(np.mean(np.sum(outwards * moved, axis=1)))
+
+    @property
     def gain(self) -> float:
         """Height errors of the printer as it was relative to held-out ones of the calibrated printer, rms."""
         return _rms(self.heights_before) / _rms(self.held_out)
@@ -108,6 +132,7 @@ class PrinterCalibration:
         return {
             "firmware": self.file.firmware,
             "touches": len(self.touches),
+            "touched_radius_m": self.touched_radius,
             "distances": len(self.touches.distances),
             "parameters_chosen": self.chosen.count,
             "held_out_rms_m": {str(choice.count): _rms(choice.held_out) for choice in self.choices},
@@ -118,6 +143,8 @@ class PrinterCalibration:
             "bed_mesh": self.mesh is not None,
             "meshes_to_be_probed_again": [name for name in self.file.meshes if self.mesh is None or name != "default"],
             "gain": self.gain,
+            "parameters_beyond_a_ruler": {str(count): list(names) for count, names in self.implausible.items()},
+            "print_scale": self.print_scale,
             "not_determined": list(self.undetermined),
             "changes": {
                 name: {"value": float(value), "sigma_of_the_data": float(sigma), "unit": unit}
@@ -151,15 +178,16 @@ def calibrate_printer(
     """Calibrate a delta printer from the file of its firmware.
 
     Args:
-        path: Klipper's printer.cfg with saved touches, or a log of M665, M666 and touches of the bed of RepRapFirmware
-            or Marlin.
+        path: Klipper's printer.cfg with saved touches; a log of M665, M666 and touches of the bed of RepRapFirmware or
+            Marlin; or RepRapFirmware's config.g or height map, each with the other beside it.
         bed_mesh: whether what no parameter can express becomes a bed mesh; Klipper only.
         on_refusal: "raise", or "keep" to return a calibration that does not predict touches clearly better than the
             printer's own numbers: these may have been fitted to the same touches.
 
     Raises:
         MeasurementError: the file has no delta printer, or no touches, or takes no bed mesh.
-        CalibrationRefusedError: too few touches, or neither the result nor a mesh would be clearly better.
+        CalibrationRefusedError: too few touches or in too small a part of the bed, or neither the result nor a mesh
+            would be clearly better.
     """
     file = read_firmware(Path(path), read_text(Path(path)))
     if bed_mesh and not file.takes_mesh:
@@ -177,28 +205,33 @@ def calibrate_printer(
     if not np.isfinite(best.mean_square):
         cause = "no printer near these numbers fits the touches: numbers, sizes of steps or touches are wrong"
         raise CalibrationRefusedError([cause])
+    fits = {choice.count: _fit(touches.measurements(), sets[choice.count], choice.loss) for choice in choices}
+    implausible = {count: names for count, fit in fits.items() if count > least and (names := _beyond_a_ruler(fit))}
+    best = min((choice for choice in choices if choice.count not in implausible), key=lambda choice: choice.mean_square)
     limit = best.mean_square + float(np.std(best.held_out**2) / np.sqrt(len(touches)))
-    chosen = next(choice for choice in choices if choice.mean_square <= limit)
-    found = _fit(touches.measurements(), sets[chosen.count], chosen.loss)
+    chosen = next(c for c in choices if c.mean_square <= limit and c.count not in implausible)
+    found = fits[chosen.count]
     after = before.displaced(found.errors.named(found.values))
-    everything = sets[max(sets)]
     result = PrinterCalibration(
         file,
         before,
         after,
         touches,
         tuple(choices),
+        implausible,
         chosen,
         found,
-        touches.heights - _heights(touches, everything.robot),
+        fits[max(sets)],
+        touches.heights - _heights(touches, sets[least].robot),
         touches.heights - _heights(touches, found.errors.apply(found.values)),
-        _fit(touches.measurements(), everything, chosen.loss).identifiability.unidentified,
     )
     if bed_mesh:
-        places = found.errors.apply(found.values).forward(touches.travels).positions[:, :2]
+        places = _places(touches.travels, found.errors.apply(found.values))
         result = replace(result, mesh=BedMesh.fitted(places, -result.heights_after, -chosen.left_over, chosen.folds))
     if on_refusal == "raise" and not are_clearly_smaller(result.held_out, result.heights_before):
         raise CalibrationRefusedError([_refusal(result)])
+    if on_refusal == "raise" and (unseen := fits[least].identifiability.unidentified):
+        raise CalibrationRefusedError([f"the touches do not determine {unseen[0]}: touch a wider part of the bed"])
     return result
 
 
@@ -227,6 +260,12 @@ def _fit(measurements: Measurements, errors: GeometricErrors, loss: Loss) -> Ide
     return identify(measurements, errors, prior=1.0, loss=loss)
 
 
+def _beyond_a_ruler(fit: Identification) -> tuple[str, ...]:
+    """Return the parameters that change by more than would have gone unnoticed."""
+    sizes = np.abs(fit.values) / fit.errors.tolerances
+    return tuple(fit.errors.names[k] for k in np.flatnonzero(sizes > _MISSED))
+
+
 def _folds(touches: Touches) -> Array:
     count = len(touches)
     return np.asarray(np.random.default_rng(0).permutation(np.arange(count) % min(_FOLDS, count)))
@@ -253,6 +292,10 @@ def _with_loss(touches: Touches, errors: GeometricErrors, count: int, loss: Loss
 
 def _heights(touches: Touches, robot: Robot) -> Array:
     return np.asarray(robot.forward(touches.travels).positions[:, 2])
+
+
+def _places(travels: Array, robot: Robot) -> Array:
+    return np.asarray(robot.forward(travels).positions[:, :2])
 
 
 def _rms(values: Array) -> float:

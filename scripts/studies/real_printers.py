@@ -1,9 +1,10 @@
 """Calibrations of real delta printers against textbook fits, on touches held out.
 
-Each printer.cfg is read, fitted and validated twice: by the package, and here, by a reader of a few lines,
-trilateration and SciPy's least squares with the firmware's 6, 7 and 9 parameters, each touch or tenth left out in turn.
+Each printer.cfg of Klipper, or height map of RepRapFirmware beside its config.g, is read, fitted and validated twice:
+by the package, and here, by readers of a few lines, trilateration and SciPy's least squares with the firmware's 6, 7
+and 9 parameters, each touch or tenth left out in turn.
 
-    python scripts/studies/real_printers.py FOLDER   # of files named *.cfg, at any depth
+    python scripts/studies/real_printers.py FOLDER   # of files named *.cfg and heightmap.csv, at any depth
 """
 
 from __future__ import annotations
@@ -59,6 +60,35 @@ def read(text: str) -> tuple[Array, Array, Array]:
     )
 
 
+def read_map(path: Path) -> tuple[Array, Array, Array]:
+    """Return the same from a heightmap.csv: travels are those to the probed points, the bed is at 0."""
+    words = path.with_name("config.g").read_text(encoding="utf-8-sig")
+    if re.search(r"^\s*M501", words, re.MULTILINE) and path.with_name("config-override.g").exists():
+        words += path.with_name("config-override.g").read_text(encoding="utf-8-sig")
+    numbers: dict[str, str] = {}
+    for command, options in re.findall(r"^\s*(M665|M666|G31)\b([^;\n]*)", words, re.MULTILINE):
+        numbers |= {f"{command} {letter}": value for letter, value in re.findall(r"([A-Z])\s*([-\d.:]+)", options)}
+    arms = np.resize([float(word) for word in numbers["M665 L"].split(":")][:3], 3)
+    stops = [float(numbers["M665 H"]) + float(numbers.get(f"M666 {letter}", 0.0)) for letter in "XYZ"]
+    turned = [angle + float(numbers.get(f"M665 {axis}", 0.0)) for angle, axis in zip(ANGLES, "XYZ", strict=True)]
+    start = np.array([float(numbers["M665 R"]), *stops, *turned, *arms])
+
+    _, labels, values, *rows = path.read_text(encoding="utf-8-sig").splitlines()
+    grid = dict(zip(labels.split(","), values.split(","), strict=True))
+    x, y = (float(grid.get(f"{a}min", grid.get(f"min{k}", ""))) for k, a in enumerate("xy"))
+    across, along = (float(grid.get(f"{a}spacing", grid.get(f"spacing{k}", ""))) for k, a in enumerate("xy"))
+    probed = [
+        (x + k * across, y + i * along, float(cell))
+        for i, row in enumerate(rows)
+        for k, cell in enumerate(row.rstrip(",").split(","))
+        if cell.strip() != "0"
+    ]
+    nozzle = np.array(probed) - [float(numbers.get("G31 X", 0.0)), float(numbers.get("G31 Y", 0.0)), 0.0]
+    towers = start[0] * np.column_stack([np.cos(np.radians(turned)), np.sin(np.radians(turned))])
+    rise = np.sqrt(arms**2 - np.sum((nozzle[:, None, :2] - towers) ** 2, axis=-1))
+    return start, nozzle[:, 2:] + rise - np.sqrt(arms**2 - start[0] ** 2) - stops, np.zeros(len(nozzle))
+
+
 def _gears(options: dict[str, str], axis: str) -> list[str]:
     return [pair for pair in options.get(f"stepper_{axis} gear_ratio", "").split(",") if pair.strip()]
 
@@ -110,10 +140,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     to_best, to_same, lines = [], [], 0
-    for path in sorted(parser.parse_args().folder.rglob("*.cfg")):
+    folder = parser.parse_args().folder
+    for path in sorted([*folder.rglob("*.cfg"), *folder.rglob("heightmap.csv")]):
         try:
             ours = calibrate_printer(path, on_refusal="keep")
-            start, travels, heights = read(path.read_text(encoding="utf-8-sig"))
+            is_map = path.suffix == ".csv"
+            start, travels, heights = read_map(path) if is_map else read(path.read_text(encoding="utf-8-sig"))
         except (PM3DofError, KeyError) as error:
             print(f"{path}: {error!r}")
             continue

@@ -209,7 +209,8 @@ def _replace_by_no_file(file: Path, generator: random.Random) -> None:
             file.touch(mode=0)
 
 
-_SAMPLES = ("export", "join", "ballbar", "rows", "klipper", "reprapfirmware", "marlin", "g33", "acceptance", "history")
+_FIRMWARES = ("klipper", "reprapfirmware", "duet", "marlin", "g33")
+_SAMPLES = ("export", "join", "ballbar", "rows", *_FIRMWARES, "acceptance", "history")
 
 
 class Input:
@@ -383,12 +384,14 @@ def _read_printer(folder: Path) -> None:
     from pm3dof_pin.files import read_text
     from pm3dof_pin.printers.firmware import read_firmware
 
-    path = next(folder.glob("printer.*"))
+    path = next(folder.glob("printer.*"), folder / "heightmap.csv")
     file = read_firmware(path, read_text(path))
     printer = file.printer()
     touches = file.touches(printer)
     _require(np.isfinite(touches.travels).all() and np.isfinite(touches.heights).all(), "touches")
-    again = read_firmware(path, file.with_printer(printer) + ("Bed X:0 Y:0 Z:0" * (file.firmware == "Marlin")))
+    text = file.with_printer(printer) + ("Bed X:0 Y:0 Z:0" * (file.firmware == "Marlin"))
+    file.path.write_text(text, encoding="utf-8", newline="")
+    again = read_firmware(path, read_text(path))
     _require(np.allclose(again.printer().end_stops, printer.end_stops, atol=1e-6), "a file that reads otherwise")
 
 
@@ -456,6 +459,14 @@ def write_samples(above: Path) -> Path:
     texts["reprapfirmware/printer.g"] = (
         f"M665 L215:215.2:214.9 R105 B85 H240 X0.1 Y0 Z0\nM666 X0.1 Y-0.2 Z0 A0.1 B0\n{bed}"
         "G32 bed probe heights: 0.1 0.2 0.05 -0.1 0.0 0.1 0.02 0.3, mean 0.1, deviation from mean 0.1\n"
+    )
+    texts["duet/config.g"] = "M665 L215.5 R105 B85 H240 X0.1\nM666 X0.1 Y-0.2 Z0\nG31 P25 X5 Y-18.5 Z2.1\nM501\n"
+    texts["duet/config-override.g"] = "M665 L215:215.2:214.9:200 R105.2 H240.1 X0.1 Y0 Z0\nM666 X0.1 Y-0.2 Z0.1 U0\n"
+    heights = np.random.default_rng(1).normal(0.0, 0.05, (4, 5)).tolist()
+    texts["duet/heightmap.csv"] = (
+        "RepRapFirmware height map file v2 generated at 2026-01-16 23:12, min error -0.108, max error 0.095\n"
+        "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum\n-60.00,60.10,-50.00,50.10,85.00,30.00,33.30,5,4\n"
+        + "".join(", ".join(["      0", *(f"{height:7.3f}" for height in row[1:])]) + "\n" for row in heights)
     )
     texts["marlin/printer.log"] = "M665 L215 R105 H240 X0.1 Y0 Z0 A0.1 B0 C-0.1\nM666 X-0.1 Y0 Z-0.3\n" + "".join(
         f"Bed X: {x:.2f} Y: {y:.2f} Z: {0.01 * k:.2f}\n" for k, (x, y) in enumerate(points)
@@ -542,6 +553,7 @@ def inputs(calibrations: Sequence[Path] = (), samples: Path | None = None) -> di
         "ballbar": Input(of["ballbar"], "*.csv", _read_ballbar),
         "rows": Input(of["rows"], "*.csv", _read_rows),
         "klipper": Input(of["klipper"], "printer.*", _read_printer),
+        "duet": Input(of["duet"], "*", _read_printer),
         "gcode": Input([*of["reprapfirmware"], *of["marlin"], *of["g33"]], "printer.*", _read_printer),
         "acceptance": Input(of["acceptance"], "*", _read_acceptance),
         "history": Input(of["history"], "*", _read_history),

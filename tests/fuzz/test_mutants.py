@@ -15,7 +15,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.calibration.folder import read_summary
 
 SCRIPT = Path(__file__).with_name("mutants.py")
-OF_SAMPLES = ("export", "columns", "join", "ballbar", "rows", "klipper", "gcode", "acceptance", "history")
+OF_SAMPLES = ("export", "columns", "join", "ballbar", "rows", "klipper", "gcode", "duet", "acceptance", "history")
 KINDS = ("urdf", "xacro", "closures", "springs", "srdf", "errors", "parameters", "mjcf", "sdf", "loops")
 DIALECTS = ("urdf_plus", "robot_yaml", "loop_closures")
 

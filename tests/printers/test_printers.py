@@ -427,6 +427,147 @@ def test_heights_of_g33_at_no_known_place(command: str, radius: str, problem: st
         read_firmware(tmp_path / "marlin.log", text)
 
 
+LABELS = {
+    1: "xmin,xmax,ymin,ymax,radius,spacing,xnum,ynum\n{0},{1},{0},{1},95.00,{2},{3},{3}",
+    2: "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum\n{0},{1},{0},{1},95.00,{2},{2},{3},{3}",
+    3: "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1\nX,Y,{0},{1},{0},{1},95.00,{2},{2},{3},{3}",
+}
+
+
+def height_map(
+    truth: Delta,
+    believed: Delta,
+    *,
+    version: int = 2,
+    probe: tuple[float, float] = (0.0, 0.0),
+    width: float = 80.0,
+    count: int = 9,
+) -> str:
+    """Return what G29 saves: the probe's points are the grid's, the nozzle is beside them; not all are reached."""
+    noise, places = np.random.default_rng(6), np.linspace(-width, width, count)
+
+    def height(x: float, y: float) -> float:
+        at = (x - probe[0], y - probe[1])
+        return scipy.optimize.brentq(lambda z: truth.nozzle(believed.travels(*at, z))[2], -5.0, 5.0)
+
+    rows = []
+    for y in places:
+        reached = [np.hypot(x - probe[0], y - probe[1]) < 0.73 * believed.radius for x in places]
+        touches = [
+            f"{height(x, y) + noise.normal(0.0, 0.01):7.3f}" if at else "0"
+            for x, at in zip(places, reached, strict=True)
+        ]
+        rows.append(", ".join(f"{cell:>7}" for cell in touches))
+    grid = LABELS[version].format(-width, width + 0.1, 2.0 * width / (count - 1), count)
+    return "\n".join([f"RepRapFirmware height map file v{min(version, 2)} generated at 2026-01-16", grid, *rows, ""])
+
+
+BELIEVED = Delta(130.0, tuple(BASE + np.radians([0.1, 0.0, 0.0])), stops=(245.2, 245.0, 245.5))
+CONFIG = "; Duet\r\nG31 P25 X0 Y-18 Z2.1 ; probe\r\nM665 L270 R130 H245 X0.1\r\nM666 X0.2 Z0.5  ; stops\r\nT0\r\n"
+
+
+@pytest.mark.parametrize("version", LABELS)
+def test_height_maps_of_a_duet(version: int, tmp_path: Path) -> None:
+    (tmp_path / "heightmap.csv").write_text(height_map(TRUTH, BELIEVED, version=version, probe=(0.0, -18.0)))
+    (tmp_path / "config.g").write_text(CONFIG, newline="")
+    (tmp_path / "config-override.g").write_text("M665 R999\n")  # nothing calls it
+    for name in ("heightmap.csv", "config.g"):
+        found = calibrate_printer(tmp_path / name)
+        assert found.file.path.name == "config.g"
+        assert 60 < len(found.touches) < 81
+        assert found.chosen.count == 6
+        assert np.sqrt(np.mean(found.held_out**2)) == pytest.approx(1e-5, rel=0.3)
+        assert found.after.radius == pytest.approx(1e-3 * TRUTH.radius, abs=5e-5)
+        np.testing.assert_allclose(1e3 * np.array(found.after.end_stops), TRUTH.stops, atol=0.05)
+    folder = found.save(tmp_path / "out")
+    written = (folder / "config.g").read_bytes().decode()
+    assert re.fullmatch(r"(.*\r\n){2}M665 L270.0000 R131.*\r\nM666 .*  ; stops\r\nT0\r\n", written)
+    assert not (folder / "config-override.g").exists()
+
+
+def test_saved_numbers_of_a_duet_override_its_configuration(tmp_path: Path) -> None:
+    """M501 calls what M500 saved; arms of towers that do not carry the nozzle are kept."""
+    (tmp_path / "heightmap.csv").write_text(height_map(TRUTH, BELIEVED))
+    (tmp_path / "config.g").write_text("M665 L280 R120 H250\nM666 X9\nM501 ; saved numbers\n")
+    saved = "M665 L270:270:270:200 R130 H245 B90 X0.1 Y0 Z0\nM666 X0.2 Y0 Z0.5 A0 B0 U1.5"
+    (tmp_path / "config-override.g").write_text(saved)
+    found = calibrate_printer(tmp_path / "config.g")
+    assert found.before.radius == pytest.approx(0.13)
+    np.testing.assert_allclose(1e3 * np.array(found.before.end_stops), BELIEVED.stops)
+    folder = found.save(tmp_path / "out")
+    assert {file.name for file in folder.iterdir()} == {"config-override.g", "calibration.yaml", "robot"}
+    m665, m666 = (folder / "config-override.g").read_text().splitlines()
+    assert re.match(r"M665 L270.0000:270.0000:270.0000:200 R13\d.\d{4} H24\d.\d{4} B90 X", m665)
+    assert m666.endswith("A0 B0 U1.5")
+    # the same touches, known to the old printer by its own numbers, are at the bed of the new one
+    assert np.abs(found.heights_after).max() < 5e-5 < 2e-4 < np.abs(found.heights_before).max()
+
+
+def test_arms_that_a_ruler_would_show_wrong_are_not_taken(tmp_path: Path) -> None:
+    """Arms 5 mm longer than described fit better, but so they would on a bed that is bowed."""
+    believed = Delta(228.0, arms=(440.0,) * 3, stops=(400.0,) * 3)
+    truth = Delta(229.0, tuple(BASE + np.radians([0.2, -0.1, 0.0])), (445.0,) * 3, (401.0, 401.5, 400.5))
+    (tmp_path / "heightmap.csv").write_text(height_map(truth, believed, width=150.0))
+    (tmp_path / "config.g").write_text("M665 L440 R228 H400\nM666 X0 Y0 Z0\n")
+    found = calibrate_printer(tmp_path / "config.g")
+    errors = {choice.count: choice.mean_square for choice in found.choices}
+    assert errors[7] < errors[6]
+    assert found.implausible[7] == ("arms",)
+    assert found.chosen.count == 6
+
+
+def test_the_size_of_prints(tmp_path: Path) -> None:
+    """Circles printed with the old numbers, whose real size three spheres tell, have their own with the new ones."""
+    (tmp_path / "heightmap.csv").write_text(height_map(TRUTH, BELIEVED))
+    (tmp_path / "config.g").write_text(CONFIG.replace("Y-18", "Y0"))
+    found = calibrate_printer(tmp_path / "config.g")
+    after = Delta(
+        1e3 * found.after.radius,
+        found.after.angles,
+        tuple(1e3 * np.array(found.after.arms)),
+        tuple(1e3 * np.array(found.after.end_stops)),
+    )
+    angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    circle = 40.0 * np.column_stack([np.cos(angles), np.sin(angles)])
+    old = np.array([after.nozzle(BELIEVED.travels(x, y)) for x, y in circle])
+    size = np.mean(np.linalg.norm(old[:, :2] - old[:, :2].mean(axis=0), axis=1))
+    assert found.print_scale == pytest.approx(40.0 / size, abs=2e-4)
+    assert abs(found.print_scale - 1.0) > 1e-3
+
+
+def test_touches_of_a_small_part_of_the_bed_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "heightmap.csv").write_text(height_map(TRUTH, BELIEVED, width=15.0, count=3))
+    (tmp_path / "config.g").write_text(CONFIG.replace("Y-18", "Y0"))
+    with pytest.raises(CalibrationRefusedError, match="touch a wider part of the bed"):
+        calibrate_printer(tmp_path / "config.g")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("xnum", "columns", "num0 of the grid is ''"),
+        ("9,9", "9,10", "9 rows of heights; expected 10"),
+        ("9,9", "8,9", "line 4: 9 heights; expected 8"),
+        ("      0, ", "  x.0, ", "line 4: 'x.0': expected a height"),
+        ("ynum\n-80.0", "ynum\nnan", "min0 of the grid is 'nan'"),
+    ],
+)
+def test_damaged_height_maps(old: str, new: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "heightmap.csv").write_text(height_map(TRUTH, BELIEVED).replace(old, new, 1))
+    with pytest.raises(MeasurementError, match=r"no config.g beside it"):
+        calibrate_printer(tmp_path / "heightmap.csv")
+    (tmp_path / "config.g").write_text(CONFIG)
+    with pytest.raises(MeasurementError, match=words):
+        calibrate_printer(tmp_path / "heightmap.csv")
+
+
+def test_a_probe_at_an_unknown_place_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "heightmap.csv").write_text(height_map(TRUTH, BELIEVED))
+    (tmp_path / "config.g").write_text(CONFIG.replace("Y-18", "Y{global.probe}"))
+    with pytest.raises(MeasurementError, match=r"line 2: 'G31 .*expected numbers after X and Y"):
+        calibrate_printer(tmp_path / "config.g")
+
+
 def test_a_sloping_bed_of_reprapfirmware(tmp_path: Path) -> None:
     """M666 A and B [%]: the drives' frame is where z is higher by 0.01 (A x + B y), so a level printer touches at 0."""
     lines = ["M665 L270 R130 H245", "M666 X0 Y0 Z0 A0.4 B-0.2"]
