@@ -2,9 +2,9 @@
 
 A walk reaches a pose in legs short enough to stay in one assembly mode, each closed by the damped solver of
 :mod:`pm3dof_pin.kinematics.assembly`. A leg that leaves a joint far from its prediction, or changes the sign of the
-determinant of the equations, or the branch, is repeated with shorter legs: a walk ends at singular poses. For serial
-arms, which can pass these, and guesses with open loops, the solver goes to the pose in one step. It shares no
-computation with the programs, which are held against it.
+determinant of the equations, or the branch, is repeated with shorter legs, which do not go beyond the other branch: a
+walk ends at singular poses. For serial arms, which can pass these, and guesses with open loops, the solver goes to the
+pose in one step. It shares no computation with the programs, which are held against it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ from pm3dof_pin.typing import Matrix, Vector
 _LEG = 0.25  # for distant poses [rad, characteristic lengths]
 _SHORTEST_LEG = 1.0 / 1024.0  # relative to that
 _FIRST_LEG = 1.0 / 8.0  # relative to it, as there is no prediction yet
-_JUMP = 0.5  # largest distance of a joint from its prediction [rad, characteristic lengths]
+_JUMP = 0.06  # largest distance of a joint from its prediction [rad, characteristic lengths]
+_LEAP = 0.5  # the same of the first leg from the side of a singular home, which may pass that
+_NARROWING = 0.5  # greatest usual loss of regularity [1/rad, 1/characteristic length]
+_KEPT = 0.5  # part of the regularity that a leg leaves
 _STEPS = 8  # per leg, if it may be repeated
 _LAST_STEPS = 100
 _DEPENDENT = 1e-10  # relative singular value of dependent equations
@@ -152,10 +155,14 @@ class _Walk:
         angles = np.isfinite(turns)
         way[angles] -= turns[angles] * np.round(way[angles] / turns[angles])  # the shorter direction
         units = coordinate_scales(robot, self._coordinates)
-        first = 1.0 / max(np.ceil(np.abs(way / units).max(initial=0.0) / _LEG), 1.0)
+        length = float(np.abs(way / units).max(initial=0.0))
+        first = 1.0 / max(np.ceil(length / _LEG), 1.0)
         done, step, last = 0.0, _FIRST_LEG * first, assemble_at(robot, self._coordinates, origin, q, 1)
         regularity = _regularity(last)
-        rate, narrowing = np.zeros(robot.model.nv), 0.0  # derivatives of q and the regularity along the path
+        is_beside = self._branches is not None and not self._branches.start_is_home
+        # derivatives of q and the regularity along the path, unknown at first
+        rate, narrowing = np.zeros(robot.model.nv), 0.0 if is_beside else -_NARROWING * length
+        barrier = np.inf
         while done < 1.0:
             reached = min(done + step, 1.0)
             is_last_try = step <= _SHORTEST_LEG * first
@@ -163,13 +170,15 @@ class _Walk:
             steps = _LAST_STEPS if is_last_try else _STEPS
             guess = pin.integrate(robot.model, q, rate * (reached - done))
             result = None
-            if regularity + narrowing * (reached - done) > 0.0:
+            if regularity + narrowing * (reached - done) > 0.0 or (is_last_try and done == 0.0):
                 result = assemble_at(robot, self._coordinates, values, guess, steps)
-            if (
-                result is not None
-                and self._continues(last, guess, result, is_end=reached == 1.0)
-                and self._keeps(branch, result, is_end=reached == 1.0)
-            ):
+            jump = _LEAP if done == 0.0 and is_beside else _JUMP
+            is_near = result is not None and self._is_near(guess, result, jump)
+            if result is not None and is_near and not self._stays(branch, last, result, is_end=reached == 1.0):
+                barrier = min(barrier, reached)  # a singular pose lies before it, whatever begins there
+            # from close to a singular pose, one beyond it must not be reached at once
+            is_sudden = result is not None and not is_last_try and _regularity(result) < _KEPT * regularity
+            if result is not None and is_near and not is_sudden and reached < barrier:
                 found = _regularity(result)
                 rate = pin.difference(robot.model, q, result.q) / (reached - done)
                 narrowing = (found - regularity) / (reached - done)
@@ -188,23 +197,25 @@ class _Walk:
             return True
         return self._branches.number(result.q) == branch
 
-    def _continues(self, last: Assembly, guess: Vector, result: Assembly, *, is_end: bool) -> bool:
-        """Return whether a leg ended near its guess and stayed in its assembly mode; it may end at a singular pose.
+    def _is_near(self, guess: Vector, result: Assembly, jump: float) -> bool:
+        """Return whether a leg ended near its guess."""
+        moves = pin.difference(self._robot.model, guess, result.q) / self._robot.velocity_scale
+        return result.converged and bool(np.abs(moves).max(initial=0.0) <= jump)
+
+    def _stays(self, branch: int | None, last: Assembly, result: Assembly, *, is_end: bool) -> bool:
+        """Return whether a leg stayed in its assembly mode and on the branch; it may end at a singular pose.
 
         The determinant of the equations that were independent at its start, over the motions they determined, keeps
         its sign unless a singular pose was passed. There may be more equations or motions.
         """
-        robot = self._robot
-        moves = pin.difference(robot.model, guess, result.q) / robot.velocity_scale
-        if not result.converged or np.abs(moves).max(initial=0.0) > _JUMP:
-            return False
         left, values, right = last.factors
         kept = values > _DEPENDENT * values.max(initial=0.0)
         turned = left[:, kept].T @ result.jacobian @ right[kept].T
-        if np.linalg.slogdet(turned)[0] >= 0.0:
-            return True
-        sizes = np.linalg.svd(turned, compute_uv=False)
-        return is_end and bool(sizes.min() <= _SINGULAR * sizes.max())
+        if np.linalg.slogdet(turned)[0] < 0.0:
+            sizes = np.linalg.svd(turned, compute_uv=False)
+            if not (is_end and sizes.min() <= _SINGULAR * sizes.max()):
+                return False
+        return self._keeps(branch, result, is_end=is_end)
 
 
 def _regularity(assembly: Assembly) -> float:

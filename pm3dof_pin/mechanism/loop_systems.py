@@ -1,9 +1,10 @@
 """The loop equations of a mechanism, split into systems that can be solved one after another.
 
 Equations that determine their own joints are solved first, then those that do so given these joints; what shares joints
-after that is solved together. The sign of the determinant of a system changes only at a configuration at which the
-quantities given do not determine the joints: a singular one. Both engines split by the same rules, each from its own
-Jacobians at the same closed configurations.
+after that is solved together. Motions that leave the loops closed in any configuration, such as the spin of a rod
+between two balls, are left out: one entry of v for each is at rest. The sign of the determinant of a system changes
+only at a configuration at which the quantities given do not determine the joints: a singular one. Both engines split by
+the same rules, each from its own Jacobians at the same closed configurations.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ ZERO = MIN_LEVER
 
 RANK = 1e-6
 """Least relative singular value of equations that determine their joints."""
+
+_SHARE = 0.3  # of the greatest, of an entry that can stand for an idle motion; engines must not choose by rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +51,39 @@ class LoopSystem:
     rows: Matrix | None
 
 
+@dataclass(frozen=True, eq=False)
+class IdleMotions:
+    """Combinations of entries of v that leave all equations as they are, in any configuration."""
+
+    moving: tuple[int, ...]  #: the entries of v that they move
+    at_rest: tuple[int, ...]  #: as many of these as there are such motions, which are zero in place of them
+
+
+def idle_motions(equations: Sequence[LoopEquations], held: Iterable[int]) -> IdleMotions:
+    """Find the combinations of entries of v, apart from `held` ones, with the same zero derivatives at all samples."""
+    entries = sorted({k for equation in equations for k in equation.moving(held)})
+    matrices = [stacked([(e.indices, e.samples)], entries).reshape(-1, len(entries)) for e in equations]
+    rows = np.concatenate([np.zeros((0, len(entries))), *matrices])
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if not rows.size:
+        return IdleMotions((), ())
+    sizes, motions = np.linalg.eigh(rows.T @ rows)
+    idle = motions[:, sizes <= len(rows) * ZERO**2]
+    projection = idle @ idle.T  # which, unlike a basis, is unique
+    moving = np.flatnonzero(np.diag(projection) > ZERO)
+    at_rest: list[int] = []
+    for _ in range(idle.shape[1]):
+        shares = np.diag(projection)
+        chosen = int(np.flatnonzero(shares >= _SHARE * shares.max())[0])
+        projection = projection - np.outer(projection[:, chosen], projection[chosen]) / shares[chosen]
+        at_rest.append(entries[chosen])
+    return IdleMotions(tuple(entries[k] for k in moving), tuple(sorted(at_rest)))
+
+
 def split(equations: Sequence[LoopEquations], held: Iterable[int]) -> list[LoopSystem]:
     """Split equations into systems, in an order in which they can be solved; `held` entries of v are given."""
-    waiting, found = list(range(len(equations))), set(held)
+    waiting, given = list(range(len(equations))), set(held)
+    found = given | set(idle_motions(equations, given).at_rest)
     systems: list[LoopSystem] = []
     while waiting:
         choices = (_system(equations, (index,), equations[index].moving(found)) for index in waiting)

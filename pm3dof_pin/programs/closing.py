@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, connected, joined, split
+from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, connected, idle_motions, joined, split
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, total, typical, zeros
@@ -240,7 +240,7 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
             for k, equation in enumerate(equations)
         ]
         systems = _systems([_scaled(tree, equation) for equation in turned], set(held))
-    at_rest: set[int] = set()
+    at_rest = set(idle_motions([_at_samples(equation) for equation in equations], held).moving)
     for system in systems:
         solution, _, is_flipped, idle = system.solved(system.tool_columns(count, len(task.tool)), rates)
         rates |= dict(zip(system.unknowns, solution, strict=True))

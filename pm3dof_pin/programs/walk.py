@@ -8,8 +8,10 @@ of reach if ``branch(state)`` is not ``branch(q)``.
 A leg starts from the last accepted configuration, extrapolated from the two before it, and takes Newton steps until the
 loops are closed. It is accepted if no joint jumped, no system of equations is singular, and all determinants have the
 signs that they have at the start, so that the branch is the same. Then the next leg is up to twice as long; otherwise
-it is half as long, until it is too short and the walk has failed. The last leg may end at a singular configuration. The
-signs of the drives' determinants are compared at the end, see :func:`~pm3dof_pin.programs.closing.branch_number`.
+it is half as long, until it is too short and the walk has failed. Where a leg has ended on another branch, no later one
+goes so far: a third branch that begins between them can have the signs of the first. The last leg may end at a singular
+configuration. The signs of the drives' determinants are compared at the end, see
+:func:`~pm3dof_pin.programs.closing.branch_number`.
 """
 
 from __future__ import annotations
@@ -261,7 +263,7 @@ def start_program(
     far = _FAR if np.isfinite(leg) else np.inf
     state: dict[str, Any] = {
         **{"q": q, "margin": 1.0, "jump": 0.0, "given": origins, "reached": q, "earlier": q},
-        **{"mode": 0.0, "done": 0.0, "step": 1.0 / legs, "last": 0.0, "goal": 0.0},
+        **{"mode": 0.0, "barrier": 2.0, "done": 0.0, "step": 1.0 / legs, "last": 0.0, "goal": 0.0},
         **{"count": select(less(distance, far), -1.0, -2.0), "singular": 0.0, "status": 1.0},
         **{"origins": origins, "targets": targets, "longest": 1.0 / legs, "shortest": shortest / legs},
         "tolerance": tolerance,
@@ -318,11 +320,12 @@ def control_program(mechanism: Mechanism, start: Program) -> Program:
     # if not, is it accepted?
     tolerance = select(is_last, now["tolerance"], tolerance)
     is_closed = less(residual, tolerance) & less(jump, WALK.jump)
-    is_accepted = _is_accepted(margin, jump, residual, tolerance, mode, WALK)
+    is_accepted = _is_accepted(margin, jump, residual, tolerance, mode, WALK) & less(goal, now["barrier"])
     ends_singular = is_near & is_closed & less(regularity, WALK.regularity)
     is_accepted = is_accepted | ends_singular
     is_accepted = is_accepted & ~goes_on & ~begins
     is_rejected = ~(goes_on | is_accepted | begins)
+    is_beyond = is_rejected & is_closed & less(0.5, absolute(own_mode - mode))
     reached = _each(is_accepted, _each(ends_singular, now["q"], found), now["reached"])  # a singular step opens loops
     earlier = _each(is_accepted, now["reached"], now["earlier"])
     last = select(is_accepted, goal - done, last)
@@ -342,7 +345,9 @@ def control_program(mechanism: Mechanism, start: Program) -> Program:
         "margin": 1.0,
         "jump": select(goes_on, jump, 0.0),
         "given": _each(goes_on, now["given"], objects(between)),
-        **{"reached": reached, "earlier": earlier, "mode": mode, "done": done, "step": step, "last": last},
+        **{"reached": reached, "earlier": earlier, "mode": mode},
+        **{"barrier": select(is_beyond, minimum(now["barrier"], goal), now["barrier"]), "done": done},
+        **{"step": step, "last": last},
         **{"goal": select(goes_on, goal, following), "count": select(goes_on, count, 0.0)},
         **{"singular": select(ends_singular & is_accepted, 1.0, 0.0), "status": ended},
     }
