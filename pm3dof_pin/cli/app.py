@@ -141,11 +141,23 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it logs its font search
     try:
-        app(prog_name="pm3dof")
+        try:
+            app(prog_name="pm3dof")
+        finally:
+            sys.stdout.flush()
     except MemoryError as error:
         typer.echo(f"Error: not enough memory{f': {error}' if str(error) else ''}", err=True)
+    except BrokenPipeError:
+        _discard_output()  # the reader has seen enough
     except (PM3DofError, OSError) as error:
+        if isinstance(error, OSError):
+            _discard_output()
         typer.echo(f"Error: {error}", err=True)
     else:
         return
     sys.exit(_WORK_FAILED)
+
+
+def _discard_output() -> None:
+    """Write what is left of standard output to nowhere: Python would try again, and fail again, when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -62,11 +62,11 @@ class IdleMotions:
 def idle_motions(equations: Sequence[LoopEquations], held: Iterable[int]) -> IdleMotions:
     """Find the combinations of entries of v, apart from `held` ones, with the same zero derivatives at all samples."""
     entries = sorted({k for equation in equations for k in equation.moving(held)})
-    matrices = [stacked([(e.indices, e.samples)], entries).reshape(-1, len(entries)) for e in equations]
-    rows = np.concatenate([np.zeros((0, len(entries))), *matrices])
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    if not rows.size:
+    if not entries:
         return IdleMotions((), ())
+    matrices = [stacked([(e.indices, e.samples)], entries).reshape(-1, len(entries)) for e in equations]
+    rows = np.concatenate(matrices)
+    rows = rows[np.isfinite(rows).all(axis=1)]
     sizes, motions = np.linalg.eigh(rows.T @ rows)
     idle = motions[:, sizes <= len(rows) * ZERO**2]
     projection = idle @ idle.T  # which, unlike a basis, is unique

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Protocol
 
 from pm3dof_pin.exceptions import MeasurementError
-from pm3dof_pin.files import read_text
 from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
 from pm3dof_pin.printers.duet import CONFIG, HEIGHT_MAP, DuetBackup, is_height_map
@@ -16,6 +15,7 @@ from pm3dof_pin.printers.m665 import GCodeLog
 from pm3dof_pin.printers.touches import Touches
 
 _SUFFIXES = (".cfg", ".g", ".gcode", ".log")
+_BEGINNING = 100  # bytes
 
 
 class FirmwareFile(Protocol):
@@ -52,12 +52,11 @@ class FirmwareFile(Protocol):
 
 
 def is_of_firmware(path: Path) -> bool:
-    """Tell whether a file is one of a printer's firmware, and not a table of measurements.
-
-    Raises:
-        FileFormatError: it cannot be read.
-    """
-    return path.suffix.lower() in _SUFFIXES or is_height_map(read_text(path))
+    """Tell whether a file is one of a printer's firmware, and not a table of measurements, in whatever encoding."""
+    if path.suffix.lower() in _SUFFIXES or not path.is_file():
+        return path.suffix.lower() in _SUFFIXES
+    with path.open("rb") as file:
+        return is_height_map(file.read(_BEGINNING).decode("utf-8", errors="replace"))
 
 
 def read_firmware(path: Path, text: str) -> FirmwareFile:

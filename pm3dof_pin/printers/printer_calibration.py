@@ -3,7 +3,8 @@
 Of the firmware's sets of parameters that move nothing by more than a ruler would have missed, the smallest is taken
 whose error at touches held out is within one standard error of the best one's (the rule of L. Breiman et al.,
 Classification and Regression Trees, 1984). Heights determine the lengths of arms hardly: an error of all arms hides
-behind radius and end stops, and the bow of a bed looks like one, with which prints would change their size.
+behind radius and end stops, and the bow of a bed looks like one, with which prints would change their size. Distances
+measured on a print tell them.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class PrinterCalibration:
     implausible: dict[int, tuple[str, ...]]  #: parameters that a set would move by more than a ruler misses
     chosen: Choice  #: the set that was taken
     identification: Identification
-    identification_of_all: Identification  #: of the largest set
+    identification_of_all: Identification  #: of the largest set that can be fitted
     heights_before: Array  #: touched heights minus those of the printer as it was, shape=(touches,) [m]
     heights_after: Array  #: the same of the calibrated printer [m]
     mesh: BedMesh | None = None  #: what no parameter can express, if asked for and seen by the touches
@@ -201,15 +202,19 @@ def calibrate_printer(
         )
     sets = {count: _errors(before, count) for count in before.counts if count <= file.most_parameters}
     choices = [_held_out(touches, errors, count) for count, errors in sets.items()]
-    best = min(choices, key=lambda choice: choice.mean_square)
-    if not np.isfinite(best.mean_square):
+    fits: dict[int, Identification] = {}
+    for choice in choices:
+        with contextlib.suppress(*_FAILURES):
+            fits[choice.count] = _fit(touches.measurements(), sets[choice.count], choice.loss)
+    larger = {} if len(touches.distances) else {count: fit for count, fit in fits.items() if count > least}
+    implausible = {count: names for count, fit in larger.items() if (names := _beyond_a_ruler(fit))}
+    possible = [choice for choice in choices if choice.count in fits and choice.count not in implausible]
+    best = min(possible, key=lambda choice: choice.mean_square, default=None)
+    if best is None or not np.isfinite(best.mean_square):
         cause = "no printer near these numbers fits the touches: numbers, sizes of steps or touches are wrong"
         raise CalibrationRefusedError([cause])
-    fits = {choice.count: _fit(touches.measurements(), sets[choice.count], choice.loss) for choice in choices}
-    implausible = {count: names for count, fit in fits.items() if count > least and (names := _beyond_a_ruler(fit))}
-    best = min((choice for choice in choices if choice.count not in implausible), key=lambda choice: choice.mean_square)
     limit = best.mean_square + float(np.std(best.held_out**2) / np.sqrt(len(touches)))
-    chosen = next(c for c in choices if c.mean_square <= limit and c.count not in implausible)
+    chosen = next(choice for choice in possible if choice.mean_square <= limit)
     found = fits[chosen.count]
     after = before.displaced(found.errors.named(found.values))
     result = PrinterCalibration(
@@ -221,7 +226,7 @@ def calibrate_printer(
         implausible,
         chosen,
         found,
-        fits[max(sets)],
+        fits[max(fits)],
         touches.heights - _heights(touches, sets[least].robot),
         touches.heights - _heights(touches, found.errors.apply(found.values)),
     )
@@ -230,7 +235,7 @@ def calibrate_printer(
         result = replace(result, mesh=BedMesh.fitted(places, -result.heights_after, -chosen.left_over, chosen.folds))
     if on_refusal == "raise" and not are_clearly_smaller(result.held_out, result.heights_before):
         raise CalibrationRefusedError([_refusal(result)])
-    if on_refusal == "raise" and (unseen := fits[least].identifiability.unidentified):
+    if on_refusal == "raise" and (unseen := fits[min(fits)].identifiability.unidentified):
         raise CalibrationRefusedError([f"the touches do not determine {unseen[0]}: touch a wider part of the bed"])
     return result
 

@@ -382,10 +382,13 @@ def test_help_and_version(run: Run) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full")
-def test_full_disk_behind_standard_output() -> None:
-    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "table-8-3"]
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("words", [["table-8-3"], ["--version"]])
+def test_full_disk_behind_standard_output(words: list[str], unbuffered: str) -> None:
+    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", *words]
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     with Path("/dev/full").open("w") as full:
-        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, env=environment)
     assert result.returncode == 1
     assert result.stderr == "Error: [Errno 28] No space left on device\n"
 

@@ -15,7 +15,7 @@ import scipy.optimize
 
 import pm3dof_pin as pm
 from pm3dof_pin.exceptions import CalibrationRefusedError, MeasurementError, OutputError, PM3DofError
-from pm3dof_pin.printers.firmware import read_firmware
+from pm3dof_pin.printers.firmware import is_of_firmware, read_firmware
 from pm3dof_pin.printers.printer_calibration import calibrate_printer
 
 BASE = np.radians([210.0, 330.0, 90.0])
@@ -559,6 +559,16 @@ def test_damaged_height_maps(old: str, new: str, words: str, tmp_path: Path) -> 
     (tmp_path / "config.g").write_text(CONFIG)
     with pytest.raises(MeasurementError, match=words):
         calibrate_printer(tmp_path / "heightmap.csv")
+
+
+def test_tables_of_measurements_are_no_height_maps(tmp_path: Path) -> None:
+    """In whatever encoding they are."""
+    for name, encoding in (("a.csv", "utf-16"), ("b.csv", "latin-1")):
+        (tmp_path / name).write_text("u1_m,x_m # \u00b5m\n0,1\n", encoding=encoding)
+        assert not is_of_firmware(tmp_path / name)
+    (tmp_path / "c.csv").write_text(height_map(TRUTH, BELIEVED), encoding="utf-8-sig")
+    assert is_of_firmware(tmp_path / "c.csv")
+    assert not is_of_firmware(tmp_path / "none.csv")
 
 
 def test_a_probe_at_an_unknown_place_is_refused(tmp_path: Path) -> None:
