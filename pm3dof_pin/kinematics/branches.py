@@ -126,7 +126,7 @@ class Branches:
         tables = [self._equations(q) for q in self._nearby]
         count = len(tables[0])
         everything = tuple(range(self._robot.model.nv))
-        return split([LoopEquations(everything, np.array([t[k] for t in tables])) for k in range(count)], self._held)
+        return split([LoopEquations(everything, np.array([t[k] for t in tables])) for k in range(count)], self._held)[0]
 
     @cached_property
     def _blocks(self) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:

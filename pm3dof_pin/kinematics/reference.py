@@ -173,22 +173,21 @@ class _Walk:
             if regularity + narrowing * (reached - done) > 0.0 or (is_last_try and done == 0.0):
                 result = assemble_at(robot, self._coordinates, values, guess, steps)
             jump = _LEAP if done == 0.0 and is_beside else _JUMP
-            is_near = result is not None and self._is_near(guess, result, jump)
-            if result is not None and is_near and not self._stays(branch, last, result, is_end=reached == 1.0):
-                barrier = min(barrier, reached)  # a singular pose lies before it, whatever begins there
-            # from close to a singular pose, one beyond it must not be reached at once
-            is_sudden = result is not None and not is_last_try and _regularity(result) < _KEPT * regularity
-            if result is not None and is_near and not is_sudden and reached < barrier:
+            if result is not None and self._is_near(guess, result, jump):
+                if not self._stays(branch, last, result, is_end=reached == 1.0):
+                    barrier = min(barrier, reached)  # a singular pose lies before it, whatever begins there
                 found = _regularity(result)
-                rate = pin.difference(robot.model, q, result.q) / (reached - done)
-                narrowing = (found - regularity) / (reached - done)
-                self.last = q = result.q
-                done, step = reached, min(4.0 * step, first)
-                last, regularity = result, found
-            elif is_last_try:
+                # from close to a singular pose, one beyond it must not be reached at once
+                if reached < barrier and (is_last_try or found >= _KEPT * regularity):
+                    rate = pin.difference(robot.model, q, result.q) / (reached - done)
+                    narrowing = (found - regularity) / (reached - done)
+                    self.last = q = result.q
+                    done, step = reached, min(4.0 * step, first)
+                    last, regularity = result, found
+                    continue
+            if is_last_try:
                 return np.full_like(q, np.nan)
-            else:
-                step *= 0.25
+            step *= 0.25
         return q
 
     def _keeps(self, branch: int | None, result: Assembly, *, is_end: bool) -> bool:

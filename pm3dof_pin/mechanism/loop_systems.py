@@ -80,10 +80,14 @@ def idle_motions(equations: Sequence[LoopEquations], held: Iterable[int]) -> Idl
     return IdleMotions(tuple(entries[k] for k in moving), tuple(sorted(at_rest)))
 
 
-def split(equations: Sequence[LoopEquations], held: Iterable[int]) -> list[LoopSystem]:
-    """Split equations into systems, in an order in which they can be solved; `held` entries of v are given."""
+def split(equations: Sequence[LoopEquations], held: Iterable[int]) -> tuple[list[LoopSystem], IdleMotions]:
+    """Split equations into systems, in an order in which they can be solved, but for idle motions.
+
+    The `held` entries of v are given.
+    """
     waiting, given = list(range(len(equations))), set(held)
-    found = given | set(idle_motions(equations, given).at_rest)
+    idle = idle_motions(equations, given)
+    found = given | set(idle.at_rest)
     systems: list[LoopSystem] = []
     while waiting:
         choices = (_system(equations, (index,), equations[index].moving(found)) for index in waiting)
@@ -93,7 +97,7 @@ def split(equations: Sequence[LoopEquations], held: Iterable[int]) -> list[LoopS
         waiting.remove(chosen.equations[0])
         found |= set(chosen.unknowns)
         systems.append(chosen)
-    return systems + [_system(equations, *group) for group in joined(equations, found, waiting)]
+    return systems + [_system(equations, *group) for group in joined(equations, found, waiting)], idle
 
 
 def joined(

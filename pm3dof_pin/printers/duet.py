@@ -16,7 +16,6 @@ from pm3dof_pin.files import read_text
 from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
 from pm3dof_pin.printers.m665 import GCodeLog
-from pm3dof_pin.printers.touches import Touches
 
 _TITLE = "RepRapFirmware height map file"
 _LABELS = {
@@ -36,17 +35,11 @@ _OVERRIDE = "config-override.g"
 
 
 @dataclass(frozen=True)
-class DuetBackup:
-    """The file with the printer's numbers, and the heights that were probed with them."""
+class DuetBackup(GCodeLog):
+    """The file with the numbers that hold, and the heights of a map that were probed with them."""
 
-    path: Path  #: the file with the numbers that hold
-    text: str  #: its text
-    log: GCodeLog  #: the numbers and heights
-    meshes: tuple[str, ...]  #: the height map
-
-    firmware = "RepRapFirmware"
-    most_parameters = 9
-    takes_mesh = False
+    text: str  #: of the file
+    height_map: str  #: name of the map
 
     @classmethod
     def of(cls, config: Path, height_map: Path) -> DuetBackup:
@@ -57,37 +50,26 @@ class DuetBackup:
         """
         if not config.is_file():
             raise MeasurementError(height_map, f"no {config.name} beside it, with the M665 and M666 of the printer")
-        file, text = config, read_text(config)
-        log, override = GCodeLog.parse(file, text), config.with_name(_OVERRIDE)
+        text, override = read_text(config), config.with_name(_OVERRIDE)
+        log = GCodeLog.parse(config, text)
         if re.search(r"^\s*M501\b", text, re.MULTILINE) and override.is_file():
             later = read_text(override)
             saved = GCodeLog.parse(override, later)
             log = log.then(saved)
             if saved.geometry or saved.stops:
-                file, text = override, later
-        heights = read_height_map(height_map, read_text(height_map))
-        return cls(file, text, replace(log, path=file, probed=heights), (height_map.name,))
+                log, text = replace(log, path=override), later
+        log = replace(log, probed=read_height_map(height_map, read_text(height_map)))
+        return cls(**vars(log), text=text, height_map=height_map.name)
 
-    def printer(self) -> DeltaPrinter:
-        """Return the printer.
-
-        Raises:
-            MeasurementError: a number is missing.
-        """
-        return self.log.printer()
-
-    def touches(self, printer: DeltaPrinter) -> Touches:
-        """Return the touches of the bed.
-
-        Raises:
-            MeasurementError: there are none.
-        """
-        return self.log.touches(printer)
+    @property
+    def meshes(self) -> tuple[str, ...]:
+        """The height map, which was probed with the old numbers."""
+        return (self.height_map,)
 
     def with_printer(self, printer: DeltaPrinter, mesh: BedMesh | None = None) -> str:
         """Return the file with another printer's M665 and M666 in place of the last ones."""
         lines = self.text.splitlines(keepends=True)
-        for code in self.log.with_printer(printer, mesh).splitlines():
+        for code in super().with_printer(printer, mesh).splitlines():
             places = [k for k, line in enumerate(lines) if re.match(rf"\s*{code[:4]}\b", line)]
             if places:
                 old = lines[places[-1]]

@@ -54,7 +54,11 @@ class GCodeLog:
     probe: dict[str, float]  #: the last X and Y of G31: the probe's place, seen from the nozzle [mm]
 
     takes_mesh = False
-    meshes = ()
+
+    @property
+    def meshes(self) -> tuple[str, ...]:
+        """There are none."""
+        return ()
 
     @property
     def most_parameters(self) -> int:

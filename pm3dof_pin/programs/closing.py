@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, connected, idle_motions, joined, split
+from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, connected, joined, split
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, total, typical, zeros
@@ -111,7 +111,7 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
     mode: Scalar = 0.0
     longest: Scalar = 0.0
     moves: dict[int, Objects] = {}
-    for bit, system in enumerate(_systems(equations, held)):
+    for bit, system in enumerate(_systems(equations, held)[0]):
         solution, size, is_flipped, _ = system.solved(-system.error[:, None], moves)
         moves |= dict(zip(system.unknowns, solution, strict=True))
         regularity = minimum(regularity, size)
@@ -233,14 +233,14 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
     count, bits = len(held) + len(task.tool), itertools.count()
     number: Scalar = 0.0
     rates: dict[int, Objects] = {k: objects(np.eye(count)[column].tolist()) for column, k in enumerate(held)}
-    systems = _systems([_scaled(tree, equation) for equation in equations], set(held))
+    systems, idle_entries = _systems([_scaled(tree, equation) for equation in equations], set(held))
     if any(system.rows is None for system in systems):  # overconstrained loops may have square systems in other axes
         turned = [
             in_axes_of_first_frame(tree, k, equation) if len(equation.columns) < len(equation.error) else equation
             for k, equation in enumerate(equations)
         ]
-        systems = _systems([_scaled(tree, equation) for equation in turned], set(held))
-    at_rest = set(idle_motions([_at_samples(equation) for equation in equations], held).moving)
+        systems, _ = _systems([_scaled(tree, equation) for equation in turned], set(held))
+    at_rest = set(idle_entries)
     for system in systems:
         solution, _, is_flipped, idle = system.solved(system.tool_columns(count, len(task.tool)), rates)
         rates |= dict(zip(system.unknowns, solution, strict=True))
@@ -390,13 +390,12 @@ def _at_samples(equations: Equations) -> LoopEquations:
     return LoopEquations(tuple(equations.columns), np.swapaxes(table, 1, 2))
 
 
-def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
-    """Group scaled equations into systems, in an order in which they can be solved, see :func:`split`."""
+def _systems(equations: list[Equations], held: set[int]) -> tuple[list[_System], tuple[int, ...]]:
+    """Group scaled equations into systems, see :func:`split`; return these and what idle motions move."""
     last = len(equations) - 1
-    return [
-        _System.of([equations[k] for k in s.equations], s.unknowns, s.rows, last in s.equations)
-        for s in split([_at_samples(equation) for equation in equations], held)
-    ]
+    found, idle = split([_at_samples(equation) for equation in equations], held)
+    systems = [_System.of([equations[k] for k in s.equations], s.unknowns, s.rows, last in s.equations) for s in found]
+    return systems, idle.moving
 
 
 def _damped(matrix: Objects, right: Objects, damping: Scalar) -> Objects:

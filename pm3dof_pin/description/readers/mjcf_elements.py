@@ -88,7 +88,7 @@ class MjcfElements(ElementReader):
             columns = [first, np.cross(normal, first), normal]
             return np.stack([column / np.linalg.norm(column) for column in columns], axis=1)
         if "zaxis" in attributes:
-            return turn_z_to(np.array(self._direction(element, "zaxis", 3, place)))
+            return least_turn_of_z(np.array(self._direction(element, "zaxis", 3, place)))
         if "euler" in attributes:
             angles = self.angle_unit(given) * np.array(self.numbers(element, "euler", 3, ANY, place))
             sequence = self.document.compiler_of(given).get("eulerseq", "xyz")
@@ -110,7 +110,7 @@ class MjcfElements(ElementReader):
         return numbers
 
 
-def turn_z_to(direction: np.ndarray) -> np.ndarray:
+def least_turn_of_z(direction: np.ndarray) -> np.ndarray:
     """Return the least rotation that takes z to a direction, shape=(3, 3)."""
     length = np.linalg.norm(direction)
     if not length:

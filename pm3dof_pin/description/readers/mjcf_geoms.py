@@ -13,7 +13,7 @@ from pm3dof_pin.description.mesh_files import read_meshes
 from pm3dof_pin.description.own_files import require_own
 from pm3dof_pin.description.physical_bounds import ANY, LENGTH, MASS, NOT_NEGATIVE, SIZE
 from pm3dof_pin.description.readers.elements import named
-from pm3dof_pin.description.readers.mjcf_elements import MjcfElements, turn_z_to
+from pm3dof_pin.description.readers.mjcf_elements import MjcfElements, least_turn_of_z
 from pm3dof_pin.description.readers.mjcf_inertia import SOLIDS, geom_inertia, mesh_inertia
 from pm3dof_pin.description.xml_file import Element, children
 
@@ -94,7 +94,7 @@ class MjcfGeoms:
         if "fromto" not in element.attrib:
             return self._elements.pose(element, given)
         numbers = np.array(self._elements.numbers(element, "fromto", 6, LENGTH, named(given)))
-        return pin.SE3(turn_z_to(numbers[:3] - numbers[3:]), 0.5 * (numbers[:3] + numbers[3:]))
+        return pin.SE3(least_turn_of_z(numbers[:3] - numbers[3:]), 0.5 * (numbers[:3] + numbers[3:]))
 
     def inertia(self, body: Element, name: str, default_class: str) -> Inertial | None:
         """Return the inertia of a body's geoms; None if they have no mass."""
