@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, stop_on_b
 from pm3dof_pin.description.coordinates import Coordinate, pose_in_words, shown_in
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.pose_file import BROKEN_LIMITS, Given, PoseTable, columns_text, read_poses
 from pm3dof_pin.kinematics.poses import Poses, limit_names
@@ -64,10 +66,12 @@ def print_at_pose(pose: Poses, result: Mapping[str, Any], lines: Sequence[str], 
 def solve_pose(robot: Robot, values: Vector, *, forward: bool = False) -> Poses:
     """Solve the pose at coordinates (or commands) [rad, m], shape=(); raise UnreachablePoseError if out of reach."""
     given = robot.command_coordinates if forward else robot.coordinates
+    solve = robot.forward if forward else robot.solve
+    with suppress(UnreachablePoseError):
+        # for one pose, importing the compiler takes longer than solving without it, unless waypoints are needed
+        return solve(values, guess=start_of(robot), engine="pinocchio")
     try:
-        # for one pose, importing the compiler takes longer than solving without it
-        solve = robot.forward if forward else robot.solve
-        return solve(values, engine="pinocchio")
+        return solve(values)
     except UnreachablePoseError as error:
         raise UnreachablePoseError(
             f"pose {pose_in_words(given, values)} is out of reach: no assembled configuration was found "

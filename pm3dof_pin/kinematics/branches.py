@@ -10,7 +10,8 @@ all these determinants have the same signs.
 Serial arms have no branches here: their singular poses may be passed. Where the drives are more or fewer than the
 coordinates, or do not determine these, there is no sign of A: poses are told apart by the loops' determinants alone. If
 drives can move while the tool rests, any pose of a branch serves, as of an arm. An overconstrained loop has a sign only
-if its equations are the same everywhere, as in a planar machine.
+if its equations are the same everywhere, as in a planar machine; otherwise walks compare the space that its equations
+span from leg to leg, and branches have no numbers for it.
 
 Programs compute the same numbers, see :func:`~pm3dof_pin.programs.closing.branch_number`; here they are computed from
 Pinocchio's Jacobians.
@@ -103,7 +104,7 @@ class Branches:
         """
         if not self._robot.has_branches:
             return ()
-        own = any(system.rows is not None for system in self._systems)
+        own = any(system.is_determined for system in self._systems)
         found = {self.kind(1)} if own else set()
         return tuple(sorted(found | ({"parallel"} if self._blocks else set()), reverse=True))
 
@@ -203,9 +204,9 @@ class Branches:
         """Return the least singular values of all systems, and of the blocks of A and their inverses."""
         equations = self._equations(q)
         values = [
-            np.linalg.svd(system.rows @ self._matrix(system, equations), compute_uv=False)[-1]
+            np.linalg.svd(self._matrix(system, equations), compute_uv=False)[-1]
             for system in self._systems
-            if system.rows is not None
+            if system.is_determined
         ]
         rates = self._drive_rates(equations)
         for block in self._blocks:

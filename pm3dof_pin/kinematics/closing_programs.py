@@ -16,7 +16,7 @@ from pm3dof_pin.programs.closing import Task, closing_program, damped_closing_pr
 from pm3dof_pin.programs.llvm import Compiled, Walked
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
-from pm3dof_pin.programs.walk import Walk, branch_program, control_program, start_program
+from pm3dof_pin.programs.walk import Walk, branch_program, control_program, side_program, start_program
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 _KEPT = "_program_source"
@@ -95,10 +95,25 @@ class ProgramSource:
         def trace(dense: bool) -> Walk:
             step = self._stored(f"step {task}", dense, lambda: closing_program(own, task, samples, dense=dense))
             start = self._stored(f"start {task}", dense, lambda: start_program(own, task, samples, dense=dense))
-            control = self._stored(f"control {task}", dense, lambda: control_program(own, start))
+            control = self._stored(
+                f"control {task}", dense, lambda: control_program(own, start, task, samples, dense=dense)
+            )
             return Walk.from_programs(step, start, control)
 
         return self._bound(robot, f"walk {task}", trace)
+
+    def sides(self, robot: PlacedMechanism, task: Task) -> BoundProgram | None:
+        """Return the program that tells sides of singular configurations apart, None if a walk's modes do.
+
+        See :func:`~pm3dof_pin.programs.walk.side_program`; arguments and errors as in :meth:`walk`.
+        """
+        own, samples = self._robot, self.samples
+        name = f"sides {task}"
+
+        def trace(dense: bool) -> Program:
+            return self._stored(name, dense, lambda: side_program(own, task, samples, dense=dense))
+
+        return self._bound(robot, name, trace) if len(trace(self._geometry_of(robot)[1])) else None
 
     def printable_walk(self, robot: PlacedMechanism, task: Task) -> tuple[Walk, Vector]:
         """Return the walk, with the program that tells branches apart, and its parameters; errors as above."""

@@ -28,6 +28,7 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import Coordinate
@@ -90,6 +91,11 @@ class Continuation:
     @cached_property
     def _damped_step(self) -> BoundProgram:
         return self._source.damped_step(self._robot, self._task)
+
+    @cached_property
+    def _sides(self) -> BoundProgram | None:
+        """Tells sides of singular configurations apart where the mode does not, see :meth:`ProgramSource.sides`."""
+        return self._source.sides(self._robot, self._task)
 
     @cached_property
     def _home(self) -> Vector:
@@ -276,12 +282,35 @@ class Continuation:
         flat_values = values.reshape(-1, values.shape[-1])
         solution = self._check(q.reshape(-1, self._nq), flat_values, placed=False, threads=threads)
         q = solution.q.reshape(q.shape)
-        if keep_branch and solution.branch is not None and solution.branch.any():
-            q = np.where(_connected(np.reshape(solution.branch == 0, shape), first)[..., None], q, np.nan)
+        if keep_branch:
+            self._leave_branch(q, solution.branch, first)
         if not np.isnan(q[..., 0]).any():
             return solution
         self._fill(q, values, keep_branch=keep_branch)
         return self._check(q.reshape(-1, self._nq), flat_values, placed=False, threads=threads)
+
+    def _leave_branch(self, q: Array, branch: NDArray[np.int64] | None, first: tuple[int, ...]) -> None:
+        """Make the points of a march NaN that do not follow only points on the branch, outward from `first`."""
+        if self._sides is None and (branch is None or not branch.any()):
+            return
+        kept = np.ones(q.shape[:-1], dtype=bool) if branch is None else np.reshape(branch == 0, q.shape[:-1])
+        for dimension, start in enumerate(first):
+            part: tuple[Any, ...] = (*[slice(None)] * (dimension + 1), *first[dimension + 1 :])
+            line, poses = kept[part], q[part]
+            if self._sides is not None:
+                line[..., start + 1 :] &= self._same_side(poses[..., start + 1 :, :], poses[..., start:-1, :])
+                line[..., :start] &= self._same_side(poses[..., :start, :], poses[..., 1 : start + 1, :])
+            line[..., start:] = np.logical_and.accumulate(line[..., start:], axis=-1)
+            line[..., start::-1] = np.logical_and.accumulate(line[..., start::-1], axis=-1)
+        q[~kept] = np.nan
+
+    def _same_side(self, q: Array, before: Array) -> Mask:
+        """Return whether no overconstrained system is singular between neighbours, shape=(..., nq) each."""
+        assert self._sides is not None
+        pairs = np.concatenate([q, before], axis=-1)
+        outputs = self._sides(pairs.reshape(-1, 2 * self._nq))
+        same: Mask = outputs[:, 0].reshape(pairs.shape[:-1]) > 0.5
+        return same
 
     def _march_lines(self, lines: Array, numbers: Array, axis: Vector, known: int, threads: int | None) -> None:
         """March along lines of a grid, in place, shape=(n, points, nq); the first points are known."""
@@ -373,17 +402,6 @@ class Continuation:
         place = outputs["transform"][:, ["xyz".index(component) for component in self._tool], 3]
         residuals: Vector = np.maximum(outputs["residual"], np.abs(place - numbers).max(axis=1))
         return residuals
-
-
-def _connected(same: Mask, first: tuple[int, ...]) -> Mask:
-    """Return which points of a march, outward from `first` dimension by dimension, follow only points on the branch."""
-    reached = np.array(same)
-    for dimension in range(same.ndim):
-        part: tuple[Any, ...] = (*[slice(None)] * (dimension + 1), *first[dimension + 1 :])
-        line, start = reached[part], first[dimension]
-        line[..., start:] = np.logical_and.accumulate(line[..., start:], axis=-1)
-        line[..., start::-1] = np.logical_and.accumulate(line[..., start::-1], axis=-1)
-    return reached
 
 
 def _solved_neighbours(q: Array) -> Array:

@@ -221,15 +221,7 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
     Between configurations on different branches there is a singular one, serial or parallel, see
     :mod:`pm3dof_pin.kinematics.branches`.
     """
-    mechanism = tree.mechanism
-    held = [mechanism.single_joint(name).v_index for name in task.joints]
-    equations = loop_equations(tree)
-    if task.tool:
-        R = tree.frame(mechanism.frame_name()).rotation
-        angles = {"rx": atan2(-R[1, 2], R[2, 2]), "ry": atan2(R[0, 2], sqrt(R[0, 0] * R[0, 0] + R[0, 1] * R[0, 1]))}
-        equations.append(
-            tool_equations(tree, task.tool, {"x": 0.0, "y": 0.0, "z": 0.0, "rz": atan2(-R[0, 1], R[0, 0])} | angles)
-        )
+    held, equations = _closed_equations(tree, task)
     count, bits = len(held) + len(task.tool), itertools.count()
     number: Scalar = 0.0
     rates: dict[int, Objects] = {k: objects(np.eye(count)[column].tolist()) for column, k in enumerate(held)}
@@ -261,6 +253,45 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
             shortest = min(determinants, key=tree.graph.operations)
             number = number + select(_is_flipped(shortest), 2.0 ** next(bits), 0.0)
     return number
+
+
+def same_side(
+    graph: Graph, mechanism: Mechanism, task: Task, samples: Matrix, q: Objects, before: Objects, *, dense: bool = False
+) -> Truth:
+    """Record whether no overconstrained system of the loops is singular between two closed configurations, not far off.
+
+    Such a system has no determinant of its own, as the equations that are independent change with the configuration.
+    But they span almost the same space at both, and J(q)^T J(before) has a positive determinant, unless there is a
+    singular configuration between them. True if there are no such systems.
+    """
+    if not _without_sign(Tree(Graph(), mechanism, samples), task):
+        return np.True_
+    tree = Tree(graph, mechanism, samples, positions=q, dense=dense)
+    other = Tree(graph, mechanism, samples, positions=before, geometry=tree.geometry)
+    is_same: Truth = np.True_
+    for a, b in zip(_without_sign(tree, task), _without_sign(other, task), strict=True):
+        is_same = is_same & ~_is_flipped(_determinant(a.matrix.T @ b.matrix))
+    return is_same
+
+
+def _without_sign(tree: Tree, task: Task) -> list[_System]:
+    """Return the systems whose determinants have no sign though they are determined."""
+    held, equations = _closed_equations(tree, task)
+    systems, _ = _systems([_scaled(tree, equation) for equation in equations], set(held))
+    return [system for system in systems if system.rows is None and system.is_determined]
+
+
+def _closed_equations(tree: Tree, task: Task) -> tuple[list[int], list[Equations]]:
+    """Return the entries of v that a task holds, and all equations where the tool is at its targets."""
+    held = [tree.mechanism.single_joint(name).v_index for name in task.joints]
+    equations = loop_equations(tree)
+    if task.tool:
+        R = tree.frame(tree.mechanism.frame_name()).rotation
+        angles = {"rx": atan2(-R[1, 2], R[2, 2]), "ry": atan2(R[0, 2], sqrt(R[0, 0] * R[0, 0] + R[0, 1] * R[0, 1]))}
+        equations.append(
+            tool_equations(tree, task.tool, {"x": 0.0, "y": 0.0, "z": 0.0, "rz": atan2(-R[0, 1], R[0, 0])} | angles)
+        )
+    return held, equations
 
 
 def _minor(
@@ -307,6 +338,7 @@ class _System:
     unknowns: tuple[int, ...]  #: the entries of v to solve for; the others are held, or known by then
     rows: Matrix | None  #: combinations of the rows to solve, see :class:`LoopSystem`; None for all by least squares
     has_last: bool  #: whether the last of all equations are its last rows
+    is_determined: bool  #: whether the equations determine the unknowns
 
     @classmethod
     def of(
@@ -315,13 +347,15 @@ class _System:
         unknowns: tuple[int, ...],
         rows: Matrix | None = None,
         has_last: bool = False,
+        is_determined: bool = False,
     ) -> _System:
         """Stack equations."""
         columns = {
             k: np.concatenate([e.columns.get(k, objects([0.0] * len(e.error))) for e in equations])
             for k in sorted({k for equation in equations for k in equation.columns})
         }
-        return cls(columns, np.concatenate([equation.error for equation in equations]), unknowns, rows, has_last)
+        error = np.concatenate([equation.error for equation in equations])
+        return cls(columns, error, unknowns, rows, has_last, is_determined)
 
     @property
     def matrix(self) -> Objects:
@@ -394,7 +428,10 @@ def _systems(equations: list[Equations], held: set[int]) -> tuple[list[_System],
     """Group scaled equations into systems, see :func:`split`; return these and what idle motions move."""
     last = len(equations) - 1
     found, idle = split([_at_samples(equation) for equation in equations], held)
-    systems = [_System.of([equations[k] for k in s.equations], s.unknowns, s.rows, last in s.equations) for s in found]
+    systems = [
+        _System.of([equations[k] for k in s.equations], s.unknowns, s.rows, last in s.equations, s.is_determined)
+        for s in found
+    ]
     return systems, idle.moving
 
 

@@ -28,6 +28,7 @@ class Tree:
         frames: frames needed in addition to those of the closures and the tool.
         positions: numbers to use for q instead of new inputs, shape=(nq,).
         dense: whether every entry of the geometry is a parameter, see :mod:`pm3dof_pin.programs.geometry`.
+        geometry: that of another tree of the mechanism in the same graph.
 
     Attributes:
         graph: the graph.
@@ -51,6 +52,7 @@ class Tree:
         *,
         positions: Objects | None = None,
         dense: bool = False,
+        geometry: Geometry | None = None,
     ) -> None:
         model, rows = mechanism.model, np.array(samples, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != model.nq:
@@ -60,7 +62,7 @@ class Tree:
         if positions is None:
             positions = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(model.nq)])
         self.q: Objects = positions
-        self.geometry = Geometry(graph, mechanism, frames, dense=dense)
+        self.geometry = geometry or Geometry(graph, mechanism, frames, dense=dense)
         self.links: list[ChainJoint] = []
         screws: dict[int, Screw] = {}
         self._bodies = [Transform(objects(np.eye(3).tolist()), objects([0.0, 0.0, 0.0]))]

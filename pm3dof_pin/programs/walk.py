@@ -28,7 +28,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
-from pm3dof_pin.programs.closing import Task, branch_number
+from pm3dof_pin.programs.closing import Task, branch_number, same_side
 from pm3dof_pin.programs.graph import (
     Graph,
     Scalar,
@@ -288,17 +288,37 @@ def _linear_positions(mechanism: Mechanism) -> list[bool]:
     return [joint.nq == joint.nv for joint in list(mechanism.model.joints)[1:] for _ in range(joint.nq)]
 
 
-def control_program(mechanism: Mechanism, start: Program) -> Program:
-    """Record what happens after a Newton step of a walk that begins as `start` says."""
-    graph, linear = Graph(), _linear_positions(mechanism)
+def side_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> Program:
+    """Record whether a configuration is on the same side of singular ones as one before it.
+
+    Inputs: q, then that before; output 1 or 0, see :func:`~pm3dof_pin.programs.closing.same_side`; no operations if it
+    is always 1. Arguments and errors as for :func:`~pm3dof_pin.programs.closing.closing_program`.
+    """
+    graph, rows = Graph(), np.asarray(samples, dtype=float)
+    q, before = (
+        objects([graph.input(f"{name}[{k}]", rows[:, k]) for k in range(rows.shape[1])]) for name in ("q", "before")
+    )
+    is_same = same_side(graph, mechanism, task, rows, q, before, dense=dense)
+    return graph.program("side", {"same": select(is_same, 1.0, 0.0)})
+
+
+def control_program(
+    mechanism: Mechanism, start: Program, task: Task, samples: ArrayLike, *, dense: bool = False
+) -> Program:
+    """Record what happens after a Newton step of a walk that begins as `start` says.
+
+    Arguments and errors as for :func:`~pm3dof_pin.programs.closing.closing_program`.
+    """
+    graph, linear, rows = Graph(), _linear_positions(mechanism), np.asarray(samples, dtype=float)
 
     def group(name: str, prefix: str = "") -> Any:
         size = start.slices[name].stop - start.slices[name].start
-        numbers = objects([graph.input(f"{prefix}{name}[{k}]", [0.5]) for k in range(size)])
+        known = rows.T if name in ("q", "reached") else np.full((size, len(rows)), 0.5)
+        numbers = objects([graph.input(f"{prefix}{name}[{k}]", known[k]) for k in range(size)])
         return numbers if start.outputs[name] else numbers[0]
 
     found, margin, jump = (group(name, "new ") for name in ("q", "margin", "jump"))
-    residual = graph.input("residual", [0.5])
+    residual = graph.input("residual", np.full(len(rows), 0.5))
     now = {name: group(name) for name in start.outputs}
     done, goal, step, last, longest = (now[name] for name in ("done", "goal", "step", "last", "longest"))
     begins = less(now["count"], -0.5)
@@ -320,12 +340,14 @@ def control_program(mechanism: Mechanism, start: Program) -> Program:
     # if not, is it accepted?
     tolerance = select(is_last, now["tolerance"], tolerance)
     is_closed = less(residual, tolerance) & less(jump, WALK.jump)
+    is_same_side = same_side(graph, mechanism, task, rows, found, now["reached"], dense=dense)
     is_accepted = _is_accepted(margin, jump, residual, tolerance, mode, WALK) & less(goal, now["barrier"])
+    is_accepted = is_accepted & is_same_side
     ends_singular = is_near & is_closed & less(regularity, WALK.regularity)
     is_accepted = is_accepted | ends_singular
     is_accepted = is_accepted & ~goes_on & ~begins
     is_rejected = ~(goes_on | is_accepted | begins)
-    is_beyond = is_rejected & is_closed & less(0.5, absolute(own_mode - mode))
+    is_beyond = is_rejected & is_closed & (less(0.5, absolute(own_mode - mode)) | ~is_same_side)
     reached = _each(is_accepted, _each(ends_singular, now["q"], found), now["reached"])  # a singular step opens loops
     earlier = _each(is_accepted, now["reached"], now["earlier"])
     last = select(is_accepted, goal - done, last)

@@ -53,10 +53,10 @@ def random_values(name: str, given: str, count: int, share: float = 1.0) -> np.n
 
 
 @pytest.mark.parametrize("given", ["coordinates", "commands"])
-@pytest.mark.parametrize("name", [*ROBOTS, "linear_delta", "agile_eye"])
+@pytest.mark.parametrize("name", [*ROBOTS, "linear_delta", "agile_eye", "three_rpr"])
 def test_walks_end_where_the_reference_does(name, given):
     robot = load(name)
-    values = random_values(name, given, 60)
+    values = random_values(name, given, 25)
     solve = robot.solve if given == "coordinates" else robot.forward
     found = solve(values, on_failure="nan")
     expected = solve(values, on_failure="nan", engine="pinocchio")
@@ -108,7 +108,7 @@ def test_axes_may_be_uneven_and_come_back(name):
 def test_a_march_over_more_than_the_workspace():
     """The pen of a five-bar reaches less than the sum of its links: the grid is twice as wide."""
     robot, solver = load("five_bar"), continuation("five_bar", "coordinates")
-    grid = robot.grid(x=(-0.7, 0.7, 9), y=(0.05, 0.95, 7))
+    grid = robot.grid(x=(-0.7, 0.7, 7), y=(0.05, 0.95, 5))
     marched = solver.march(grid)
     values = grid.values.reshape(-1, 2)
     expected = robot.solve(values, on_failure="nan", engine="pinocchio")
@@ -226,7 +226,8 @@ def test_legs_twenty_times_shorter_end_in_the_same_poses(name, given, monkeypatc
     compiled, parameters = solver._step
     samples = program_source(robot).samples
     start = walk.start_program(robot, solver._task, samples, leg=0.05 * walk.LEG)
-    program = walk.Walk.from_programs(compiled.program, start, walk.control_program(robot, start))
+    control = walk.control_program(robot, start, solver._task, samples)
+    program = walk.Walk.from_programs(compiled.program, start, control)
     slowly = llvm.compile(program).walk(starts, solver._given_numbers(values), parameters)
     arrived, arrived_slowly = walked.status == walk.REACHED, slowly.status == walk.REACHED
     assert not (arrived & ~arrived_slowly).any()

@@ -52,18 +52,21 @@ def rocker_angles(machine: tuple[np.ndarray, ...], crank: np.ndarray) -> np.ndar
     return np.stack([middle + spread, middle - spread], axis=1)
 
 
-@pytest.mark.parametrize("engine", ["program", "pinocchio"])
-@pytest.mark.parametrize("seed", [4, 8, 21, 41, 46])
+@pytest.mark.parametrize(
+    ("seed", "engine"), [*((seed, "program") for seed in (4, 8, 21, 41, 46)), (21, "pinocchio"), (46, "pinocchio")]
+)
 def test_a_rocker_stays_on_its_side_of_the_dead_points(seed: int, engine: str) -> None:
     robot, machine = crank_and_rocker(seed)
-    crank = np.radians(np.arange(-179.0, 180.0))
+    step, middle = (1.0, 179) if engine == "program" else (4.0, 44)
+    crank = np.radians(step * np.arange(-middle, middle + 1))
     angles = np.angle(np.exp(1j * rocker_angles(machine, crank)))
-    side = int(np.argmin(np.abs(angles[179])))  # at home both joints are at zero
+    side = int(np.argmin(np.abs(angles[middle])))  # at home both joints are at zero
     reachable = np.isfinite(angles[:, 0])
-    first, last = (179 - np.argmin(reachable[179::-1]), 179 + np.argmin(reachable[179:]))
+    first, last = (middle - np.argmin(reachable[middle::-1]), middle + np.argmin(reachable[middle:]))
     inside = np.zeros(len(crank), dtype=bool)
-    inside[0 if reachable[:180].all() else first + 1 : None if reachable[179:].all() else last] = True
-    poses = robot.forward(crank[:, None], on_failure="nan", engine=engine)
+    inside[0 if reachable[: middle + 1].all() else first + 1 : None if reachable[middle:].all() else last] = True
+    guess = None if engine == "program" else robot.home  # then no waypoints are tried, which take long
+    poses = robot.forward(crank[:, None], guess=guess, on_failure="nan", engine=engine)
     rocker = poses.q[:, robot.single_joint("rocker").q_index]
     np.testing.assert_array_equal(poses.solved[inside], True)
     found = np.flatnonzero(poses.solved)
@@ -135,7 +138,7 @@ class RotaryDelta:
 
 @pytest.mark.parametrize(
     ("seed", "engine", "count"),
-    [(8, "program", 400), (12, "program", 400), (20, "program", 400), (20, "pinocchio", 40)],
+    [(8, "program", 400), (12, "program", 400), (20, "program", 400), (20, "pinocchio", 15)],
 )
 def test_a_delta_ends_at_its_singular_poses(seed: int, engine: str, count: int) -> None:
     """Beyond them its platform could turn, and a third branch begins there, on which it does."""
@@ -143,7 +146,8 @@ def test_a_delta_ends_at_its_singular_poses(seed: int, engine: str, count: int) 
     robot = delta.robot()
     assert math.isclose(robot.home.closure_residual, 0.0, abs_tol=1e-14)
     turns = np.random.default_rng(seed).uniform(-1.6, 1.6, (count, 3))
-    poses = robot.forward(turns, on_failure="nan", engine=engine)
+    guess = None if engine == "program" else robot.home
+    poses = robot.forward(turns, guess=guess, on_failure="nan", engine=engine)
     at_home = delta.determinant(np.zeros(3), delta.home) > 0.0
     places = [delta.tool(row) for row in turns]
     same = np.array(
