@@ -40,6 +40,8 @@ _HUBER = 0.95  # fraction of good measurements with full weight
 _TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one dimension
 _FALSE_ALARM = 0.01  # probability of naming an outlier in a set of good measurements
 _MIN_FREEDOM = 0.2  # of the measurements
+_AT_ONCE = 512  # rows, to stay in cache
+_FEW_WEIGHTED = 0.3  # of the measurements, for which those with other weights than 1 are subtracted
 _SMOOTH = 2.0  # times the noise: smooth effects of this size over the workspace do not stand out from it
 _LEVELS: Array = np.linspace(1.0 / 128.0, 127.0 / 128.0, 64)  # probabilities to average over
 
@@ -95,8 +97,9 @@ class Linearisation:
         settled = nuisances.removed(measurements, loaded, drives, measuring)
         by_stiffness = with_joints(by_stiffness, len(measurements.joints))
         motions = [found.errors[numbers], by_stiffness, nuisances.motions(measurements, loaded, drives)]
-        derivatives = settled.derivatives(loaded, np.concatenate(motions, axis=2))
-        rows = derivatives / measurements.sigmas[:, :, None] * units
+        rows = settled.derivatives(loaded, np.concatenate(motions, axis=2))
+        rows /= measurements.sigmas[:, :, None]
+        rows *= units
         residuals = settled.residuals(loaded)
         return cls(measurements, settled, errors, elastic, nuisances, prior, poses, start, residuals, rows)
 
@@ -194,8 +197,7 @@ class Linearisation:
         With the information I of the measurements and L of the prior, it is C = (I + L)^-1 = C I C + C L C. The second
         term is what was not measured; the prior's error affects the parameters' part of it.
         """
-        scaled = (np.sqrt(certainties)[:, :, None] * self.rows).reshape(-1, len(self.units))
-        information = scaled.T @ scaled
+        information = _information(self.rows, np.sqrt(certainties))
         unit = np.outer(self.units, self.units)
         if np.isfinite(self.prior):
             covariance = np.linalg.inv(information + np.diag(1.0 / self.sigmas**2))
@@ -244,7 +246,9 @@ class Linearisation:
             inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=True, overwrite_c=True)
             leverages = 1.0 - noise * np.diag(inverse)
             return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
-        blocks = [block / factor**2 for block, factor in zip(self._blocks, factors, strict=True)]
+        sigmas = np.minimum(self.sigmas, UNKNOWN)
+        unit = np.outer(sigmas, sigmas)
+        blocks = [own * (unit / factor**2) for own, factor in zip(self._informations, factors, strict=True)]
         inverse = np.linalg.inv(sum(blocks, np.eye(len(self.sigmas))))
         return np.array([np.sum(block * inverse) for block in blocks])
 
@@ -255,11 +259,19 @@ class Linearisation:
         return rows @ rows.T if len(rows) < len(self.sigmas) else None
 
     @cached_property
-    def _blocks(self) -> list[Array]:
-        """The information of each kind of coordinate at the noise of its sigmas, in units of the prior."""
-        sigmas = np.minimum(self.sigmas, UNKNOWN)
-        parts = [(self.rows[:, own] * sigmas).reshape(-1, len(sigmas)) for own in self.kinds.T > 0.0]
-        return [part.T @ part for part in parts]
+    def _informations(self) -> list[Array]:
+        """The information of each kind of coordinate at the noise of its sigmas."""
+        every = np.ones(self.rows.shape[:2])
+        return [_information(self.rows[:, own], every[:, own]) for own in self.kinds.T > 0.0]
+
+    def _information(self, weights: Array, factors: Array) -> Array:
+        """Return the information of weighted measurements; of those whose weight is 1, most often, it is known."""
+        less = np.flatnonzero(weights != 1.0)
+        if len(less) > _FEW_WEIGHTED * len(weights):
+            return _information(self.rows, np.sqrt(weights)[:, None] / (self.kinds @ factors))
+        known = [own / factor**2 for own, factor in zip(self._informations, factors, strict=True)]
+        excess = _information(self.rows[less], np.sqrt(1.0 - weights[less])[:, None] / (self.kinds @ factors))
+        return np.asarray(np.sum(known, axis=0) - excess)
 
     @cached_property
     def _seen(self) -> tuple[Array, Array, Array | None]:
@@ -288,10 +300,12 @@ class Linearisation:
         if np.isfinite(self.prior):
             # with a prior the normal equations are well conditioned, and much faster to reweight
             rows, sigmas, basis = self._seen
-            weighted = scale.reshape(-1, 1) * rows
-            information = weighted.T @ weighted
+            if basis is None:
+                information = self._information(weights, factors)
+            else:
+                information = _information(rows[:, None], scale.reshape(-1, 1))
             information.flat[:: len(sigmas) + 1] += 1.0 / sigmas**2
-            right = weighted.T @ (scale * self._targets).ravel()
+            right = (scale**2 * self._targets).ravel() @ rows
             factor = scipy.linalg.cho_factor(information, overwrite_a=True, check_finite=False)
             found = np.asarray(scipy.linalg.cho_solve(factor, right, check_finite=False))
             if basis is None:
@@ -303,6 +317,16 @@ class Linearisation:
         matrix = np.concatenate([(scale[:, :, None] * self.rows).reshape(-1, count), regularised])
         right = np.concatenate([(scale * self._targets).ravel(), regularised @ np.where(known_before, 0.0, self.start)])
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=REGRESSOR_TOLERANCE)[0])
+
+
+def _information(rows: Array, scale: Array) -> Array:
+    """Return the information of rows, shape=(n, rows, parameters), times factors, shape=(n, rows)."""
+    found = np.zeros((rows.shape[2], rows.shape[2]))
+    for first in range(0, len(rows), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        scaled = (scale[part, :, None] * rows[part]).reshape(-1, rows.shape[2])
+        found += scaled.T @ scaled
+    return found
 
 
 def tool_motions_by_drives(poses: Poses, commands: Array | None = None) -> Array:

@@ -545,7 +545,8 @@ class Robot(PlacedMechanism):
 
     def _require_close_by(self, coordinates: tuple[Coordinate, ...], solver: Continuation) -> None:
         """Raise ProgramError if programs of loops that do not close fully lose them near home."""
-        if self.home.closure_residual <= self.rounding_of_closures:
+        first = self.prototype if self.is_variant_of(self.prototype) else self  # whose loops close as fully
+        if first.home.closure_residual <= self.rounding_of_closures:
             return
         sizes = [self.characteristic_length if coordinate.unit == "m" else 1.0 for coordinate in coordinates]
         steps = _CLOSE_BY * np.diag(sizes)

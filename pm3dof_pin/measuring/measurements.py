@@ -417,21 +417,30 @@ class Measurements:
         The motions of the poses, optionally followed by joints with encoders, have shape=(n, 6 or 6 + joints, k).
         """
         offsets = self._offsets(poses)
-        linear, angular = tool_motions[:, :3], tool_motions[:, 3:6]
-        points = linear + np.cross(angular, offsets[:, :, None], axisa=1, axisb=1, axisc=1)
+        linear, angular, tool = tool_motions[:, :3], tool_motions[:, 3:6], self.tool_columns
+        found = np.zeros((len(self), tool + len(self.joints), tool_motions.shape[2]))
+        points = found[:, :3]
+        x, y, z = offsets.T
+        turning = np.zeros((len(self), 3, 3))  # the point's motion by turning: w x r
+        turning[:, 0, 1], turning[:, 1, 2], turning[:, 2, 0] = z, x, y
+        np.matmul(turning - np.swapaxes(turning, 1, 2), angular, out=points)
+        points += linear
         if self.distances is not None:
-            rows = np.zeros_like(points)
-            rows[:, 0] = self._along_distances(poses, points)
-            points = np.where(np.isnan(self.distances)[:, None, None], points, rows)
+            measured = ~np.isnan(self.distances)
+            along = self._along_distances(poses, points)[measured]
+            points[measured] = 0.0
+            points[measured, 0] = along
         places = self.points_on(poses) if self.datums else offsets
         for datum in self.datums:
-            rows = datum.directions(places) @ points
-            padded = np.pad(rows, ((0, 0), (0, 3 - rows.shape[1]), (0, 0)))
-            points = np.where(datum.rows[:, None, None], padded, points)
-        parts = [points]
+            rows = (datum.directions(places) @ points)[datum.rows]
+            points[datum.rows] = 0.0
+            points[datum.rows, : rows.shape[1]] = rows
         if self.rotations is not None:
-            parts.append(rotation_vector_rates(self.rotations @ np.swapaxes(poses.rotations, 1, 2)) @ angular)
-        return np.concatenate([*parts, with_joints(tool_motions, len(self.joints))[:, 6:]], axis=1)
+            rates = rotation_vector_rates(self.rotations @ np.swapaxes(poses.rotations, 1, 2))
+            np.matmul(rates, angular, out=found[:, 3:6])
+        if tool_motions.shape[1] > 6:
+            found[:, tool:] = tool_motions[:, 6:]
+        return found
 
     def _spans(self, poses: Poses) -> Array:
         """Return the vectors along distances, from start to the points seen, on a machine, shape=(n, 3) [m]."""
@@ -465,6 +474,8 @@ def joint_coordinates(robot: Robot, q: Array, joints: Sequence[str]) -> Array:
 
 def with_joints(motions: Array, joints: int) -> Array:
     """Return tool motions, shape=(n, 6, k), with rows for joints; missing rows are zero."""
+    if motions.shape[1] == 6 + joints:
+        return motions
     still = np.zeros((len(motions), 6 + joints - motions.shape[1], motions.shape[2]))
     return np.concatenate([motions, still], axis=1)
 

@@ -198,7 +198,7 @@ def test_parameters_use_up_the_trace_of_the_hat_matrix(count: int) -> None:
     design = design / np.tile(kinds @ factors, count)[:, None]  # rows of more noise are weighted less
     hat = design @ np.linalg.inv(design.T @ design + np.diag(sigmas**-2)) @ design.T
     problem = SimpleNamespace(prior=PRIOR, rows=rows, kinds=kinds, sigmas=sigmas)
-    problem._blocks = Linearisation._blocks.func(problem)  # type: ignore[attr-defined]
+    problem._informations = Linearisation._informations.func(problem)  # type: ignore[attr-defined]
     problem._gram = Linearisation._gram.func(problem)  # type: ignore[attr-defined]
     assert (problem._gram is None) == (count > 1)
     used = np.diag(hat).reshape(count, 3).sum(axis=0) @ kinds
@@ -344,3 +344,17 @@ def test_fewer_coordinates_than_parameters_are_solved_in_what_they_see(
     np.testing.assert_allclose(
         found.values / tripod_errors.tolerances, expected.values / tripod_errors.tolerances, atol=1e-6
     )
+
+
+@pytest.mark.parametrize("weighted", [0, 3, 15])
+def test_information_is_the_sum_over_all_weighted_rows(weighted: int) -> None:
+    """Whether few rows have other weights than 1, whose excess is subtracted, or many."""
+    generator = np.random.default_rng(1)
+    rows, weights = generator.standard_normal((15, 3, 4)), np.ones(15)
+    weights[:weighted] = generator.uniform(0.0, 1.0, weighted)
+    kinds, factors = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([2.0, 5.0])
+    problem = SimpleNamespace(rows=rows, kinds=kinds)
+    problem._informations = Linearisation._informations.func(problem)  # type: ignore[attr-defined]
+    found = Linearisation._information(problem, weights, factors)  # type: ignore[arg-type]
+    sizes = weights[:, None] / (kinds @ factors) ** 2
+    np.testing.assert_allclose(found, np.einsum("nr,nri,nrj->ij", sizes, rows, rows), rtol=1e-12)
