@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.kinematics.branches import samples_near_home
-from pm3dof_pin.kinematics.closing_programs import BoundProgram
+from pm3dof_pin.kinematics.closing_programs import BoundProgram, quantity_program
 from pm3dof_pin.kinematics.jacobians import MotionName, Rate, ReferenceMotions, motion_rates, recorded_motions
 from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
@@ -20,11 +20,10 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.mechanism.scratch_data import scratch_data
-from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt, product, samples
 from pm3dof_pin.programs.graph import Graph, sqrt
 from pm3dof_pin.programs.loops import checked_program
-from pm3dof_pin.programs.masses import Masses, mass_numbers, mass_pattern
+from pm3dof_pin.programs.masses import Masses
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
@@ -141,8 +140,4 @@ def _program(robot: Robot, model: pin.Model, rates: tuple[Rate, ...], seen: tupl
         values = np.concatenate([inertia[first:, first:].ravel(), weight[first:]])
         return checked_program("motion_dynamics", tree, values, doubt)
 
-    key = repr(
-        ("motion_dynamics", rates, seen, mass_pattern(model), geometry.structure(robot), geometry.pattern(robot))
-    )
-    compiled = cache.known(key, trace)
-    return BoundProgram(compiled, geometry.values(robot, compiled.program.parameters, mass_numbers(model)))
+    return quantity_program(robot, ("motion_dynamics", rates, seen), trace, model=model)

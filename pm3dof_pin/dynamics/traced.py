@@ -18,9 +18,9 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.traced import Roots, elastic_program
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.branches import samples_near_home
-from pm3dof_pin.kinematics.closing_programs import BoundProgram
+from pm3dof_pin.kinematics.closing_programs import BoundProgram, quantity_program
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.programs import cache, geometry, masses
+from pm3dof_pin.programs import masses
 from pm3dof_pin.programs.closed_motions import all_motions, closed_motions
 from pm3dof_pin.programs.elimination import (
     DROPPED,
@@ -299,12 +299,8 @@ def drives_program(
         record = {"holding_forces": _holding, "mass_matrix": _inertia, "drive_motions": _motions}[name]
         return checked_program(name, tree, record(tree, robot, model, doubt), doubt)
 
-    own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.mass_pattern(model))
-    if name == "drive_motions":
-        own = (*own[:2], [robot.tool_frame or ""])
-    key = repr((name, *own, geometry.structure(robot), geometry.pattern(robot)))
-    compiled = cache.known(key, trace)
-    return BoundProgram(compiled, geometry.values(robot, compiled.program.parameters, masses.mass_numbers(model)))
+    own = (name, robot.actuated_indices.tolist(), robot.characteristic_length, robot.tool_frame)
+    return quantity_program(robot, own, trace, model=None if name == "drive_motions" else model)
 
 
 def of_drives(

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from typing import NamedTuple
+
+import pinocchio as pin
 
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.programs import geometry
-from pm3dof_pin.programs.cache import compiled, stored
+from pm3dof_pin.programs.cache import compiled, known, stored
 from pm3dof_pin.programs.checks import checks_program
 from pm3dof_pin.programs.closing import Task, closing_program, damped_closing_program
 from pm3dof_pin.programs.llvm import Compiled, Walked
+from pm3dof_pin.programs.masses import mass_content, mass_numbers, mass_pattern
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.programs.walk import Walk, branch_program, control_program, side_program, start_program
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
-_KEPT = "_program_source"
+_KEPT, _KEPT_QUANTITIES = "_program_source", "_quantity_programs"
+_MAX_KEPT = 100  # programs of a robot, with its payloads
 
 
 def program_source(robot: PlacedMechanism) -> ProgramSource:
@@ -57,6 +61,39 @@ class BoundProgram(NamedTuple):
     def named(self, inputs: Matrix) -> dict[str, Array]:
         """Evaluate the program at many poses; return groups of outputs by name."""
         return self.compiled.program.split(self(inputs))
+
+
+def quantity_program(
+    robot: PlacedMechanism,
+    own: tuple[object, ...],
+    trace: Callable[[], Program],
+    *,
+    frames: Iterable[str] = (),
+    model: pin.Model | None = None,
+) -> BoundProgram:
+    """Return the program of a quantity at q, which is kept for the robot.
+
+    Args:
+        robot: the robot.
+        own: what the program depends on besides the robot's structure, geometry and masses.
+        trace: records it.
+        frames: frames that it needs in addition to those of the closures and the tool.
+        model: whose masses it takes, the robot's or a copy with payloads; by default it takes none.
+
+    Raises:
+        ProgramError: there is no program for this robot.
+    """
+    kept: dict[tuple[str, bytes], BoundProgram] = vars(robot).setdefault(_KEPT_QUANTITIES, {})
+    name = repr(own), b"" if model is None else mass_content(model)
+    if name not in kept:
+        numbers = {} if model is None else mass_numbers(model)
+        pattern = [] if model is None else mass_pattern(model)
+        key = repr((*own, pattern, geometry.structure(robot), geometry.pattern(robot, frames)))
+        found = known(key, trace)
+        if len(kept) >= _MAX_KEPT:
+            kept.clear()
+        kept[name] = BoundProgram(found, geometry.values(robot, found.program.parameters, numbers))
+    return kept[name]
 
 
 class ProgramSource:

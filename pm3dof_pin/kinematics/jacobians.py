@@ -21,6 +21,7 @@ from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.branches import samples_near_home
+from pm3dof_pin.kinematics.closing_programs import quantity_program
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
@@ -28,7 +29,6 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
-from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.closed_motions import closed_motions
 from pm3dof_pin.programs.derivatives import derivatives
 from pm3dof_pin.programs.elimination import DROPPED, Doubt, eliminate, identity, product, samples, solve_upper, zeros
@@ -326,18 +326,8 @@ def _evaluated(
         verify(robot, poses)
         return jacobian_program(robot, of, by, poses, with_derivatives=with_derivatives)
 
-    key = repr(
-        (
-            "jacobian",
-            of,
-            by,
-            with_derivatives,
-            geometry.structure(robot),
-            geometry.pattern(robot, _frames(robot, of, by)),
-        )
-    )
-    compiled = cache.known(key, trace)
-    return compiled.with_doubt(q, geometry.values(robot, compiled.program.parameters), threads)
+    own = ("jacobian", of, by, with_derivatives)
+    return quantity_program(robot, own, trace, frames=_frames(robot, of, by)).with_doubt(q, threads)
 
 
 def _frames(robot: Robot, *rates: Sequence[Rate]) -> tuple[str, ...]:

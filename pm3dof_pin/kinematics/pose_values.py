@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
 
 PROGRAM_FROM = 200
 """Number of poses for fewer of which Pinocchio takes no longer than recording and compiling most programs."""
+
+_KEPT = "_evaluated_poses"
 
 _logger = logging.getLogger(__name__)
 
@@ -59,7 +62,8 @@ def evaluate_at(
 
     `program` maps configurations, shape=(n, nq), and threads to values, shape=(n, size), and a mask of those not in
     doubt, shape=(n,); it raises ProgramError if there is no program. `reference` maps one configuration to its value of
-    the given shape; it decides where the program is in doubt, and for fewer poses than `program_from`.
+    the given shape; it decides where the program is in doubt, and for fewer poses than `program_from`, counted over all
+    calls for the robot and its variants.
 
     Raises:
         InvalidValueError: `poses` has the wrong shape.
@@ -78,7 +82,7 @@ def evaluate_at(
     rows = q.reshape(math.prod(q.shape[:-1]), q.shape[-1])
     values: Array | None = None
     doubtful = np.arange(len(rows))
-    if engine == "program" and len(rows) >= program_from:
+    if engine == "program" and _are_many(robot, (name, shape), len(rows), program_from):
         with suppress(ProgramError):
             values, sound = program(rows, robot.threads if threads is None else threads)
             doubtful = np.flatnonzero(~sound)
@@ -104,3 +108,10 @@ def evaluate_at(
             *(name, robot.name, int(redone.sum()), len(rows), int(failed.sum())),
         )
     return PoseValues(values.reshape(*q.shape[:-1], *shape), redone.reshape(q.shape[:-1]), failed.reshape(q.shape[:-1]))
+
+
+def _are_many(robot: Robot, quantity: object, count: int, many: int) -> bool:
+    """Return whether a robot and its variants have had so many poses of a quantity evaluated, with `count` new ones."""
+    counts: Counter[object] = vars(robot.prototype).setdefault(_KEPT, Counter())
+    counts[quantity] += count
+    return counts[quantity] >= many

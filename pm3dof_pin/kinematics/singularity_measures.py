@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.kinematics.branches import samples_near_home
-from pm3dof_pin.kinematics.closing_programs import BoundProgram
+from pm3dof_pin.kinematics.closing_programs import BoundProgram, quantity_program
 from pm3dof_pin.kinematics.mobility import Mobility
 from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
-from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.graph import Graph
 from pm3dof_pin.programs.loops import largest_residual, loop_equations, scaled_rows
 from pm3dof_pin.programs.program import Program
@@ -233,6 +232,4 @@ def scaled_jacobians(robot: Robot) -> BoundProgram:
         outputs = {"closures": closures, "tool": tool, "residual": residual}
         return tree.graph.program("jacobians", outputs)
 
-    own = ("jacobians", robot.tool_motions, robot.characteristic_length)
-    compiled = cache.known(repr((*own, geometry.structure(robot), geometry.pattern(robot))), trace)
-    return BoundProgram(compiled, geometry.values(robot, compiled.program.parameters))
+    return quantity_program(robot, ("jacobians", robot.tool_motions, robot.characteristic_length), trace)

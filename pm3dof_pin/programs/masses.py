@@ -34,6 +34,12 @@ def mass_numbers(model: pin.Model) -> dict[str, float]:
     return {name: value if abs(value) > LAST_DIGITS else 0.0 for name, value in found.items()}
 
 
+def mass_content(model: pin.Model) -> bytes:
+    """Return what :func:`mass_numbers` are read from, to tell whether they are the same."""
+    bodies = (inertia.toDynamicParameters().tobytes() for inertia in model.inertias)
+    return b"".join([model.gravity.vector.tobytes(), model.armature.tobytes(), *bodies])
+
+
 def mass_pattern(model: pin.Model) -> list[str]:
     """Return which :func:`mass_numbers` are constants, being zero."""
     return [name for name, value in mass_numbers(model).items() if value == 0.0]
@@ -107,7 +113,9 @@ class Masses:
         that of the joints.
         """
         pairs, count = sum(len(own) * len(above) for _, own, above in self._joints), motions.shape[1]
-        if pairs * (_PAIR + 2 * count) <= count * len(motions) * _BODY:
+        moved = np.array([sum(not is_zero(entry) for entry in row) for row in motions])
+        terms = sum(moved[k] + moved[i] for _, own, above in self._joints for k in own for i in above)
+        if pairs * _PAIR + 2 * terms <= count * len(motions) * _BODY:
             return product(self.matrix, motions)
         result = zeros(*motions.shape)
         for c, rates in enumerate(motions.T):

@@ -4,13 +4,15 @@
 
 For each robot, the programs' results at random poses are compared with null spaces of the loops' Jacobian by singular
 values, relative to the largest entry; then the time of a pose, one thread, with that of Pinocchio's Jacobians and one
-dense solution of the conditions of least energy (stiffness, loops' Jacobian and multipliers) in NumPy.
+dense solution of the conditions of least energy (stiffness, loops' Jacobian and multipliers) in NumPy. Programs are
+timed in batches whose results fit into memory that is there: filling new memory takes as long as a short program.
 """
 
 from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +25,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices
 
 LARGEST = {"legs": 48, "scissor": 32, "four_bars": 32, "stacked": 6, "arm": 60, "walker": 6}
-FEW, MANY, ROUNDS = 5, 40_000, 3  # many: so that programs are compiled with optimisation
+FEW, MANY, BATCH, ROUNDS = 5, 40_000, 1_000, 3  # many: so that programs are compiled with optimisation
 _NO_RATE = 1e-9  # of the greatest singular value
 
 
@@ -82,6 +84,11 @@ class Dense:
             tool @ np.linalg.solve(matrix, right)[:nv]
 
 
+def in_batches(compute: Callable[..., np.ndarray], poses: np.ndarray) -> None:
+    for first in range(0, len(poses), BATCH):
+        compute(poses[first : first + BATCH], threads=1)
+
+
 def study(family: str, size: int, folder: Path) -> str:
     model = pm.ElasticModel.load(FAMILIES[family][0](size).write(folder))
     robot, dense = model.rigid, Dense(model)
@@ -99,7 +106,7 @@ def study(family: str, size: int, folder: Path) -> str:
         words.append(f"{np.abs(found - expected).max() / np.abs(expected).max():.0e}")
     times = least_times(
         {"dense": partial(dense.solve, poses)}
-        | {name: partial(compute, every, threads=1) for name, compute in programs.items()},
+        | {name: partial(in_batches, compute, every) for name, compute in programs.items()},
         ROUNDS,
     )
     each = {name: seconds / (FEW if name == "dense" else MANY) for name, seconds in times.items()}
