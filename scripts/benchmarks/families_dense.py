@@ -25,7 +25,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices
 
 LARGEST = {"legs": 48, "scissor": 32, "four_bars": 32, "stacked": 6, "arm": 60, "walker": 6}
-FEW, MANY, BATCH, ROUNDS = 5, 40_000, 1_000, 3  # many: so that programs are compiled with optimisation
+FEW, MANY, BATCH, ROUNDS = 5, 40_000, 500, 3  # many: so that programs are compiled with optimisation
 _NO_RATE = 1e-9  # of the greatest singular value
 
 
