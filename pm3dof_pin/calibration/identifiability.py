@@ -34,6 +34,7 @@ REGRESSOR_TOLERANCE = 1e-11
 """Singular values of the scaled regressor below this fraction of the greatest are treated as zero."""
 
 _SHOWN = 0.05  # components smaller than this fraction of a direction's greatest are left out of its name
+_AS_SHOWN = 5e-3  # of two decimals
 
 
 def stacked_regressor(
@@ -193,9 +194,10 @@ def _direction_name(names: Sequence[str], direction: Array) -> str:
     scaled = direction / direction[np.argmax(np.abs(direction))]
     terms = []
     for k in np.argsort(-np.abs(scaled), kind="stable"):
-        if abs(scaled[k]) < _SHOWN:
+        amount = abs(float(scaled[k]))
+        if amount < _SHOWN:
             break
-        size = "" if np.isclose(abs(scaled[k]), 1.0, atol=5e-3) else f"{abs(scaled[k]):.2f} "
+        size = "" if abs(amount - 1.0) <= _AS_SHOWN else f"{amount:.2f} "
         terms.append((" - " if scaled[k] < 0.0 else " + ", f"{size}{names[k]}"))
     first = terms[0][1]
     return first + "".join(sign + term for sign, term in terms[1:])

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, connected, joined, split
+from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, LoopSystem, connected, joined, split
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, total, typical, zeros
@@ -221,17 +221,10 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
     Between configurations on different branches there is a singular one, serial or parallel, see
     :mod:`pm3dof_pin.kinematics.branches`.
     """
-    held, equations = _closed_equations(tree, task)
+    held, systems, idle_entries = _closed_systems(tree, task)
     count, bits = len(held) + len(task.tool), itertools.count()
     number: Scalar = 0.0
     rates: dict[int, Objects] = {k: objects(np.eye(count)[column].tolist()) for column, k in enumerate(held)}
-    systems, idle_entries = _systems([_scaled(tree, equation) for equation in equations], set(held))
-    if any(system.rows is None for system in systems):  # overconstrained loops may have square systems in other axes
-        turned = [
-            in_axes_of_first_frame(tree, k, equation) if len(equation.columns) < len(equation.error) else equation
-            for k, equation in enumerate(equations)
-        ]
-        systems, _ = _systems([_scaled(tree, equation) for equation in turned], set(held))
     at_rest = set(idle_entries)
     for system in systems:
         solution, _, is_flipped, idle = system.solved(system.tool_columns(count, len(task.tool)), rates)
@@ -276,13 +269,12 @@ def same_side(
 
 def _without_sign(tree: Tree, task: Task) -> list[_System]:
     """Return the systems whose determinants have no sign though they are determined."""
-    held, equations = _closed_equations(tree, task)
-    systems, _ = _systems([_scaled(tree, equation) for equation in equations], set(held))
+    _, systems, _ = _closed_systems(tree, task)
     return [system for system in systems if system.rows is None and system.is_determined]
 
 
-def _closed_equations(tree: Tree, task: Task) -> tuple[list[int], list[Equations]]:
-    """Return the entries of v that a task holds, and all equations where the tool is at its targets."""
+def _closed_systems(tree: Tree, task: Task) -> tuple[list[int], list[_System], tuple[int, ...]]:
+    """Return the entries of v that a task holds, the systems with the tool at its targets, and what is idle."""
     held = [tree.mechanism.single_joint(name).v_index for name in task.joints]
     equations = loop_equations(tree)
     if task.tool:
@@ -291,7 +283,15 @@ def _closed_equations(tree: Tree, task: Task) -> tuple[list[int], list[Equations
         equations.append(
             tool_equations(tree, task.tool, {"x": 0.0, "y": 0.0, "z": 0.0, "rz": atan2(-R[0, 1], R[0, 0])} | angles)
         )
-    return held, equations
+    scaled = [_scaled(tree, equation) for equation in equations]
+    found, idle = split([_at_samples(equation) for equation in scaled], set(held))
+    # overconstrained loops may have square systems in other axes
+    turned = {k for system in found if system.is_determined and system.rows is None for k in system.equations}
+    if turned:
+        for k in turned:
+            scaled[k] = _scaled(tree, in_axes_of_first_frame(tree, k, equations[k]))
+        found, _ = split([_at_samples(equation) for equation in scaled], set(held))
+    return held, _stacked(scaled, found), idle.moving
 
 
 def _minor(
@@ -426,13 +426,16 @@ def _at_samples(equations: Equations) -> LoopEquations:
 
 def _systems(equations: list[Equations], held: set[int]) -> tuple[list[_System], tuple[int, ...]]:
     """Group scaled equations into systems, see :func:`split`; return these and what idle motions move."""
-    last = len(equations) - 1
     found, idle = split([_at_samples(equation) for equation in equations], held)
-    systems = [
+    return _stacked(equations, found), idle.moving
+
+
+def _stacked(equations: list[Equations], systems: Iterable[LoopSystem]) -> list[_System]:
+    last = len(equations) - 1
+    return [
         _System.of([equations[k] for k in s.equations], s.unknowns, s.rows, last in s.equations, s.is_determined)
-        for s in found
+        for s in systems
     ]
-    return systems, idle.moving
 
 
 def _damped(matrix: Objects, right: Objects, damping: Scalar) -> Objects:

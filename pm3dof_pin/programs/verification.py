@@ -61,28 +61,29 @@ def _verify(mechanism: Mechanism, closed: Array, *, dense: bool) -> None:
     parameters = geometry.values(mechanism, program.parameters)
     at_random = program.split(program.evaluate(rows, parameters))
     at_samples = program.split(program.evaluate(closed, parameters))
-    for q, k in ((q, k) for q in range(len(rows)) for k in range(len(frames))):
-        _compare(mechanism, f"frame '{frames[k]}'", at_random[f"frame {k}"][q], _frame(mechanism, frames[k], rows[q]))
-    names = mechanism.constraint_names
-    for q, index in ((q, index) for q in range(len(closed)) for index in range(len(names))):
-        traced = at_samples[f"closure {index}"][q].reshape(model.nv, -1).T
+    for row, q in enumerate(rows):
+        configuration = Configuration(mechanism, q)
+        for k, name in enumerate(frames):
+            _compare(mechanism, f"frame '{name}'", at_random[f"frame {k}"][row], _frame(configuration, name))
+    for row, q in enumerate(closed):
+        configuration = Configuration(mechanism, q)
         # both are the same function where the loops are closed, and differ by as much as a description leaves them open
-        open_by = 2.0 * Configuration(mechanism, closed[q]).closure_residual
-        expected = _closure(mechanism, index, closed[q])
-        _compare(mechanism, f"closure {names[index]}", traced, expected, TOLERANCE + open_by)
+        tolerance = TOLERANCE + 2.0 * configuration.closure_residual
+        for index, name in enumerate(mechanism.constraint_names):
+            traced = at_samples[f"closure {index}"][row].reshape(model.nv, -1).T
+            _compare(mechanism, f"closure {name}", traced, _closure(configuration, index), tolerance)
 
 
-def _frame(mechanism: Mechanism, name: str, q: Array) -> Array:
-    configuration = Configuration(mechanism, q)
+def _frame(configuration: Configuration, name: str) -> Array:
     placement = configuration.frame_placement(name)
     return np.concatenate(
         [placement.rotation.ravel(), placement.translation, configuration.frame_jacobian(name).ravel()]
     )
 
 
-def _closure(mechanism: Mechanism, index: int, q: Array) -> Array:
+def _closure(configuration: Configuration, index: int) -> Array:
     """Return Pinocchio's rows of a closure or coupling; if the world's axes serve, rotated to them from frame a's."""
-    configuration = Configuration(mechanism, q)
+    mechanism = configuration.mechanism
     rows: Array = configuration.constraint_jacobian[mechanism.loop_kinematics.rows[index]]
     for loop in mechanism.closures[index : index + 1]:
         if loop.kind.holds_vectors:
