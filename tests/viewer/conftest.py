@@ -200,7 +200,7 @@ def _traced_once(traced: dict[tuple[str, str], PagePrograms | None], monkeypatch
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[WatchedBrowser]:
+def started_browser() -> Iterator[WatchedBrowser]:
     try:
         find_browser()
     except BrowserError as error:
@@ -208,6 +208,12 @@ def browser() -> Iterator[WatchedBrowser]:
     with WatchedBrowser(800, 600) as started:
         started.ask("Page.addScriptToEvaluateOnNewDocument", {"source": DRAWING_ON_DEMAND})
         yield started
+
+
+@pytest.fixture(scope="module")
+def browser(started_browser: WatchedBrowser) -> Iterator[WatchedBrowser]:
+    yield started_browser
+    started_browser.open("about:blank")  # an open page takes a processor from all later tests
 
 
 @pytest.fixture
