@@ -264,7 +264,7 @@ class Linearisation:
         every = np.ones(self.rows.shape[:2])
         return [_information(self.rows[:, own], every[:, own]) for own in self.kinds.T > 0.0]
 
-    def _information(self, weights: Array, factors: Array) -> Array:
+    def _weighted_information(self, weights: Array, factors: Array) -> Array:
         """Return the information of weighted measurements; of those whose weight is 1, most often, it is known."""
         less = np.flatnonzero(weights != 1.0)
         if len(less) > _FEW_WEIGHTED * len(weights):
@@ -301,7 +301,7 @@ class Linearisation:
             # with a prior the normal equations are well conditioned, and much faster to reweight
             rows, sigmas, basis = self._seen
             if basis is None:
-                information = self._information(weights, factors)
+                information = self._weighted_information(weights, factors)
             else:
                 information = _information(rows[:, None], scale.reshape(-1, 1))
             information.flat[:: len(sigmas) + 1] += 1.0 / sigmas**2

@@ -1,4 +1,7 @@
-"""Compiled programs that close a robot's loops: traced once for a robot and its variants, and cached on disk."""
+"""Compiled programs of a robot, traced once and cached on disk: those that close its loops, and of quantities at q.
+
+The first serve the robot's variants too.
+"""
 
 from __future__ import annotations
 

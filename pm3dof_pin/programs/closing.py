@@ -37,7 +37,7 @@ from pm3dof_pin.programs.graph import (
     sin,
     sqrt,
 )
-from pm3dof_pin.programs.joints import cross, objects
+from pm3dof_pin.programs.joints import Transform, cross, objects
 from pm3dof_pin.programs.loops import (
     Equations,
     in_axes_of_first_frame,
@@ -111,7 +111,7 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
     mode: Scalar = 0.0
     longest: Scalar = 0.0
     moves: dict[int, Objects] = {}
-    for bit, system in enumerate(_systems(equations, held)[0]):
+    for bit, system in enumerate(_systems(equations, held)):
         solution, size, is_flipped, _ = system.solved(-system.error[:, None], moves)
         moves |= dict(zip(system.unknowns, solution, strict=True))
         regularity = minimum(regularity, size)
@@ -206,6 +206,18 @@ def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: Array) -> 
     return {name: graph.input(name, rows[:, TOOL_COMPONENTS.index(name)]) for name in task.tool}
 
 
+def placement_component(tool: Transform, name: str) -> Scalar:
+    """Record a component of a placement, the angles those of R = Rx(rx) Ry(ry) Rz(rz)."""
+    R = tool.rotation
+    if name in "xyz":
+        return tool.translation["xyz".index(name)]  # type: ignore[no-any-return]
+    if name == "rx":
+        return atan2(-R[1, 2], R[2, 2])
+    if name == "ry":
+        return atan2(R[0, 2], sqrt(R[0, 0] * R[0, 0] + R[0, 1] * R[0, 1]))
+    return atan2(-R[0, 1], R[0, 0])
+
+
 def regularity_and_mode(margin: Array) -> tuple[Array, Array]:
     """Decode `margin`: return regularities, in (0, 1), and assembly modes, 0 being that of the samples."""
     mode = -np.floor(0.5 * margin)
@@ -278,11 +290,8 @@ def _closed_systems(tree: Tree, task: Task) -> tuple[list[int], list[_System], t
     held = [tree.mechanism.single_joint(name).v_index for name in task.joints]
     equations = loop_equations(tree)
     if task.tool:
-        R = tree.frame(tree.mechanism.frame_name()).rotation
-        angles = {"rx": atan2(-R[1, 2], R[2, 2]), "ry": atan2(R[0, 2], sqrt(R[0, 0] * R[0, 0] + R[0, 1] * R[0, 1]))}
-        equations.append(
-            tool_equations(tree, task.tool, {"x": 0.0, "y": 0.0, "z": 0.0, "rz": atan2(-R[0, 1], R[0, 0])} | angles)
-        )
+        tool = tree.frame(tree.mechanism.frame_name())
+        equations.append(tool_equations(tree, task.tool, {name: placement_component(tool, name) for name in task.tool}))
     scaled = [_scaled(tree, equation) for equation in equations]
     found, idle = split([_at_samples(equation) for equation in scaled], set(held))
     # overconstrained loops may have square systems in other axes
@@ -424,10 +433,9 @@ def _at_samples(equations: Equations) -> LoopEquations:
     return LoopEquations(tuple(equations.columns), np.swapaxes(table, 1, 2))
 
 
-def _systems(equations: list[Equations], held: set[int]) -> tuple[list[_System], tuple[int, ...]]:
-    """Group scaled equations into systems, see :func:`split`; return these and what idle motions move."""
-    found, idle = split([_at_samples(equation) for equation in equations], held)
-    return _stacked(equations, found), idle.moving
+def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
+    """Group scaled equations into systems, see :func:`split`."""
+    return _stacked(equations, split([_at_samples(equation) for equation in equations], held)[0])
 
 
 def _stacked(equations: list[Equations], systems: Iterable[LoopSystem]) -> list[_System]:

@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.programs.closing import placement_component
 from pm3dof_pin.programs.graph import Graph, Scalar, atan2
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
-from pm3dof_pin.programs.walk import placement_component
 
 
 def readings_program(

@@ -28,7 +28,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
-from pm3dof_pin.programs.closing import Task, branch_number, same_side
+from pm3dof_pin.programs.closing import Task, branch_number, placement_component, same_side
 from pm3dof_pin.programs.graph import (
     Graph,
     Scalar,
@@ -40,9 +40,8 @@ from pm3dof_pin.programs.graph import (
     maximum,
     minimum,
     select,
-    sqrt,
 )
-from pm3dof_pin.programs.joints import Transform, objects
+from pm3dof_pin.programs.joints import objects
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.tolerances import CLOSED
@@ -269,18 +268,6 @@ def start_program(
         "tolerance": tolerance,
     }
     return graph.program("start", state)
-
-
-def placement_component(tool: Transform, name: str) -> Scalar:
-    """Record a component of a placement, the angles those of R = Rx(rx) Ry(ry) Rz(rz)."""
-    R = tool.rotation
-    if name in "xyz":
-        return tool.translation["xyz".index(name)]  # type: ignore[no-any-return]
-    if name == "rx":
-        return atan2(-R[1, 2], R[2, 2])
-    if name == "ry":
-        return atan2(R[0, 2], sqrt(R[0, 0] * R[0, 0] + R[0, 1] * R[0, 1]))
-    return atan2(-R[0, 1], R[0, 0])
 
 
 def _linear_positions(mechanism: Mechanism) -> list[bool]:

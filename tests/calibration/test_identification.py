@@ -355,6 +355,6 @@ def test_information_is_the_sum_over_all_weighted_rows(weighted: int) -> None:
     kinds, factors = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([2.0, 5.0])
     problem = SimpleNamespace(rows=rows, kinds=kinds)
     problem._informations = Linearisation._informations.func(problem)  # type: ignore[attr-defined]
-    found = Linearisation._information(problem, weights, factors)  # type: ignore[arg-type]
+    found = Linearisation._weighted_information(problem, weights, factors)  # type: ignore[arg-type]
     sizes = weights[:, None] / (kinds @ factors) ** 2
     np.testing.assert_allclose(found, np.einsum("nr,nri,nrj->ij", sizes, rows, rows), rtol=1e-12)
