@@ -11,56 +11,60 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import scipy.linalg
 
 from pm3dof_pin.typing import Array
 
 _NEARLY_ALONE = 1e-7
-"""If less of some direction's information remains without a pose, it is computed anew: a difference would cancel."""
+"""If less of some direction's information remains without a pose, a difference would cancel."""
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateInformation:
-    """The information of chosen poses, and what every candidate shows of its inverse."""
+    """What every candidate shows of the inverse information of chosen poses, M^-1 = M_0^-1 + U D U^T."""
 
     rows: Array  #: A of all candidates, shape=(n, r, p)
-    information: Array  #: M, shape=(p, p)
     tip: Array | None  #: Q, shape=(p, p)
-    inverse: Array  #: M^-1, shape=(p, p)
+    inverse: Array  #: M_0^-1 of the poses chosen first, shape=(p, p)
+    changes: Array  #: U, by the poses that came and went since then, shape=(p, m)
+    weights: Array  #: D, shape=(m, m)
     seen: Array  #: A M^-1 A^T, shape=(n, r, r)
     seen_tip: Array | None  #: A M^-1 Q M^-1 A^T, shape=(n, r, r)
 
     @classmethod
     def from_rows(cls, rows: Array, information: Array, tip: Array | None) -> CandidateInformation:
-        """Compute it anew."""
+        """Compute it from M, shape=(p, p)."""
         root = np.linalg.inv(np.linalg.cholesky(information)).T
         along = (rows.reshape(-1, rows.shape[2]) @ root).reshape(rows.shape)
         seen, seen_tip = along @ np.swapaxes(along, 1, 2), None
         if tip is not None:
             seen_tip = (along @ (root.T @ tip @ root)) @ np.swapaxes(along, 1, 2)
-        return cls(rows, information, tip, root @ root.T, seen, seen_tip)
+        return cls(rows, tip, root @ root.T, np.zeros((len(root), 0)), np.zeros((0, 0)), seen, seen_tip)
 
-    def changed(self, index: int, sign: float) -> CandidateInformation:
-        """Return it with (1) or without (-1) a candidate among the chosen."""
+    def changed(self, index: int, sign: float) -> CandidateInformation | None:
+        """Return it with (1) or without (-1) a candidate among the chosen; None if it must be computed from rows."""
         block = self.rows[index]
-        information = self.information + sign * (block.T @ block)
         inner = np.eye(len(block)) + sign * self.seen[index]
         if np.linalg.eigvalsh(inner)[0] < _NEARLY_ALONE:
-            return CandidateInformation.from_rows(self.rows, information, self.tip)
-        along, middle = self.inverse @ block.T, -sign * np.linalg.inv(inner)
+            return None
+        along, middle = self._solved(block.T), -sign * np.linalg.inv(inner)
         weighted = None if self.tip is None else self.tip @ along
-        columns = along if weighted is None else np.hstack([along, self.inverse @ weighted])
+        columns = along if weighted is None else np.hstack([along, self._solved(weighted)])
         # the rows of all candidates are read once: memory limits this product
         products = (self.rows.reshape(-1, self.rows.shape[2]) @ columns).reshape(*self.rows.shape[:2], -1)
-        inverse = self.inverse + along @ middle @ along.T
         shown = products[..., : along.shape[1]]
         moved = shown @ middle
-        seen = self.seen + moved @ np.swapaxes(shown, 1, 2)
-        if weighted is None or self.seen_tip is None:
-            return CandidateInformation(self.rows, information, None, inverse, seen, None)
-        crossed = moved @ np.swapaxes(products[..., along.shape[1] :], 1, 2)
-        twice = moved @ (along.T @ weighted) @ np.swapaxes(moved, 1, 2)
-        seen_tip = self.seen_tip + crossed + np.swapaxes(crossed, 1, 2) + twice
-        return CandidateInformation(self.rows, information, self.tip, inverse, seen, seen_tip)
+        seen, seen_tip = self.seen + moved @ np.swapaxes(shown, 1, 2), None
+        if weighted is not None and self.seen_tip is not None:
+            crossed = moved @ np.swapaxes(products[..., along.shape[1] :], 1, 2)
+            twice = moved @ (along.T @ weighted) @ np.swapaxes(moved, 1, 2)
+            seen_tip = self.seen_tip + crossed + np.swapaxes(crossed, 1, 2) + twice
+        changes, weights = np.hstack([self.changes, along]), scipy.linalg.block_diag(self.weights, middle)
+        return CandidateInformation(self.rows, self.tip, self.inverse, changes, weights, seen, seen_tip)
+
+    def _solved(self, columns: Array) -> Array:
+        """Return M^-1 times columns."""
+        return np.asarray(self.inverse @ columns + self.changes @ (self.weights @ (self.changes.T @ columns)))
 
 
 class Criterion(Protocol):

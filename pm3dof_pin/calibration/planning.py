@@ -26,6 +26,7 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import solve_triangular
 
 from pm3dof_pin.arrays import require_choice, require_kind
 from pm3dof_pin.calibration.candidate_information import CandidateInformation, Criterion, Determinant, TipVariance
@@ -66,6 +67,7 @@ and a fit to such measurements does not converge."""
 _PROCESS_NOISE = 0.05  # standard deviation of a measured deviation's noise, over that of the deviations
 _MAX_PASSES = 50
 _MIN_GAIN = 1e-9
+_MAX_CHANGES = 100  # rows of poses exchanged, after which their information is computed anew
 _LARGE = 128  # unknowns, from which directions that no candidate sees are left out
 _UNSEEN = 1e-7  # rows of all candidates, in standard deviations of the prior
 
@@ -181,8 +183,10 @@ class PlanningProblem:
         # base and tool are as the measurements define them
         datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
         effects = np.concatenate([self.tested.effects, datum * tip_weights(eta)[:, None]], axis=2)
-        effects = effects.reshape(-1, self._rows.shape[2])
-        self._tip = effects.T @ effects / len(tests.poses)
+        effects = effects.reshape(-1, self._rows.shape[2]) / np.sqrt(len(tests.poses))
+        if len(effects) > effects.shape[1]:
+            effects = np.asarray(np.linalg.qr(effects, mode="r"))  # of the same squares
+        self._effects, self._tip = effects, effects.T @ effects
         self._spacing = Spacing(candidates, min_distance)
         self.prior = prior
         self.sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
@@ -260,7 +264,8 @@ class PlanningProblem:
         """
         # without any measurement, base and tool are given
         known = slice(None) if np.size(indices) else slice(len(self.unknowns))
-        return float(np.sqrt(np.trace(np.linalg.solve(self.information(indices), self._tip)[known, known])))
+        factor = np.linalg.cholesky(self.information(indices)[known, known])
+        return float(np.linalg.norm(solve_triangular(factor, self._effects[:, known].T, lower=True)))
 
     def accuracy_curve(self, counts: Sequence[int], strategy: Strategy, seeds: Iterable[int]) -> Array:
         """Return the predicted tip error against the number of poses, shape=(counts, seeds) [m]; see :meth:`plan`.
@@ -350,25 +355,29 @@ class PlanningProblem:
         tip = criterion.tip
         if directions is not None and tip is not None:
             tip = directions.T @ tip @ directions
-        near = np.array([self._spacing.near(int(index)) for index in chosen])
-        for _ in range(_MAX_PASSES):
-            swapped = False
-            information = self.information(chosen)
+
+        def state_of(indices: Indices) -> CandidateInformation:
+            information = self.information(indices)
             if directions is not None:
                 information = directions.T @ information @ directions
-            state = CandidateInformation.from_rows(rows, information, tip)
-            for place in range(len(chosen)):
-                without = state.changed(chosen[place], -1.0)
-                gains = criterion.gains(without)
-                others = np.delete(near, place, axis=0).any(axis=0)
-                gains[others] = -np.inf
-                winner = int(np.argmax(gains))
-                if gains[winner] > gains[chosen[place]] + _MIN_GAIN * abs(gains[chosen[place]]):
-                    chosen[place], near[place] = winner, self._spacing.near(winner)
-                    state = without.changed(winner, 1.0)
-                    swapped = True
-            if not swapped:
+            return CandidateInformation.from_rows(rows, information, tip)
+
+        near = np.array([self._spacing.near(int(index)) for index in chosen])
+        state, kept = state_of(chosen), 0  # kept: places in a row that no other candidate fills better
+        for visit in range(_MAX_PASSES * len(chosen)):
+            if kept == len(chosen):
                 break
+            place = visit % len(chosen)
+            without = state.changed(chosen[place], -1.0) or state_of(np.delete(chosen, place))
+            gains = criterion.gains(without)
+            others = np.delete(near, place, axis=0).any(axis=0)
+            gains[others] = -np.inf
+            winner = int(np.argmax(gains))
+            if gains[winner] > gains[chosen[place]] + _MIN_GAIN * abs(gains[chosen[place]]):
+                chosen[place], near[place] = winner, self._spacing.near(winner)
+                after = without.changed(winner, 1.0) if state.changes.shape[1] < _MAX_CHANGES else None
+                state, kept = after or state_of(chosen), 0
+            kept += 1
         return chosen
 
 

@@ -62,7 +62,9 @@ def elastic_motions(model: ElasticModel, configuration: Configuration) -> Elasti
     scale, rows = mechanism.velocity_scale, mechanism.closure_scale
     closures = configuration.constraint_jacobian * scale / rows[:, None]
     passive, springs = model.passive_indices, model.spring_indices
-    reference = float(np.linalg.norm(closures[:, np.concatenate([passive, springs])], 2)) if closures.size else 0.0
+    moving = closures[:, np.concatenate([passive, springs])]
+    # the greatest singular value, exact to rounding from squares
+    reference = float(np.sqrt(np.linalg.eigvalsh(moving @ moving.T)[-1])) if closures.size else 0.0
 
     left, right, passive_rank = _decompose(closures[:, passive], RANK_TOLERANCE * reference)
     kept = passive_rank.rank

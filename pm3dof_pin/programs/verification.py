@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +13,8 @@ from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs import geometry
-from pm3dof_pin.programs.graph import Graph
+from pm3dof_pin.programs.elimination import samples
+from pm3dof_pin.programs.graph import Graph, Scalar, is_zero
 from pm3dof_pin.programs.joints import objects
 from pm3dof_pin.programs.loops import loop_equations
 from pm3dof_pin.programs.tree import Tree
@@ -26,16 +28,16 @@ _RANDOM_POSES = 5
 _passed: set[str] = set()
 
 
-def verify(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = False) -> None:
+def verify(mechanism: Mechanism, closed: ArrayLike, *, dense: bool = False) -> None:
     """Compare traced placements and Jacobians with Pinocchio's.
 
     Frames of the closures and the tool are compared at random configurations, closed or not; the derivatives of the
-    closure errors at the samples, where the loops are closed.
+    closure errors at closed configurations, shape=(s, nq).
 
     Raises:
         ProgramError: a difference exceeds :data:`TOLERANCE`, or a joint type is not supported.
     """
-    closed = np.asarray(samples, dtype=float)
+    closed = np.asarray(closed, dtype=float)
     content = geometry.structure(mechanism), geometry.numbers(mechanism), closed.tolist(), dense
     key = hashlib.sha256(repr(content).encode()).hexdigest()
     if key not in _passed:
@@ -47,31 +49,32 @@ def _verify(mechanism: Mechanism, closed: Array, *, dense: bool) -> None:
     model, generator = mechanism.model, np.random.default_rng(0)
     tangents = generator.uniform(-1.0, 1.0, (_RANDOM_POSES, model.nv)) * mechanism.velocity_scale
     rows = np.array([pin.integrate(model, pin.neutral(model), tangent) for tangent in tangents])
-    graph = Graph()
-    tree = Tree(graph, mechanism, closed, dense=dense)
-    outputs = {}
-    frames = geometry.frame_names(mechanism)
-    for k, name in enumerate(frames):
+    every = np.concatenate([rows, closed])
+    tree = Tree(Graph(), mechanism, every, dense=dense)
+    configurations = [Configuration(mechanism, q) for q in every]
+    for name in geometry.frame_names(mechanism):
         frame = tree.frame(name)
-        outputs[f"frame {k}"] = [*frame.rotation.ravel(), *frame.translation, *tree.jacobian(name).ravel()]
-    for index, equations in enumerate(loop_equations(tree)):
-        resting = objects([0.0] * len(equations.error))
-        outputs[f"closure {index}"] = [x for k in range(model.nv) for x in equations.columns.get(k, resting)]
-    program = graph.program("verification", outputs)
-    parameters = geometry.values(mechanism, program.parameters)
-    at_random = program.split(program.evaluate(rows, parameters))
-    at_samples = program.split(program.evaluate(closed, parameters))
-    for row, q in enumerate(rows):
-        configuration = Configuration(mechanism, q)
-        for k, name in enumerate(frames):
-            _compare(mechanism, f"frame '{name}'", at_random[f"frame {k}"][row], _frame(configuration, name))
-    for row, q in enumerate(closed):
-        configuration = Configuration(mechanism, q)
-        # both are the same function where the loops are closed, and differ by as much as a description leaves them open
-        tolerance = TOLERANCE + 2.0 * configuration.closure_residual
-        for index, name in enumerate(mechanism.constraint_names):
-            traced = at_samples[f"closure {index}"][row].reshape(model.nv, -1).T
-            _compare(mechanism, f"closure {name}", traced, _closure(configuration, index), tolerance)
+        traced = _values([*frame.rotation.ravel(), *frame.translation, *tree.jacobian(name).ravel()], len(every))
+        for row, configuration in enumerate(configurations[: len(rows)]):
+            _compare(mechanism, f"frame '{name}'", traced[row], _frame(configuration, name))
+    resting = objects([0.0] * model.nv)
+    for index, (name, equations) in enumerate(zip(mechanism.constraint_names, loop_equations(tree), strict=True)):
+        columns = [equations.columns.get(k, resting[: len(equations.error)]) for k in range(model.nv)]
+        traced = _values([x for column in columns for x in column], len(every))
+        for row, configuration in enumerate(configurations[len(rows) :], len(rows)):
+            # the same function where the loops are closed, and differing by as much as a description leaves them open
+            tolerance = TOLERANCE + 2.0 * configuration.closure_residual
+            expected = _closure(configuration, index)
+            _compare(mechanism, f"closure {name}", traced[row].reshape(model.nv, -1).T, expected, tolerance)
+
+
+def _values(numbers: Sequence[Scalar], count: int) -> Array:
+    """Return the values of traced numbers at the poses of their tree, shape=(count, numbers)."""
+    values = np.zeros((count, len(numbers)))
+    for column, number in enumerate(numbers):
+        if not is_zero(number):
+            values[:, column] = samples(number)
+    return values
 
 
 def _frame(configuration: Configuration, name: str) -> Array:
