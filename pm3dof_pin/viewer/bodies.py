@@ -21,6 +21,7 @@ from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
 from pm3dof_pin.viewer.objects import Colour
@@ -129,7 +130,7 @@ class Bodies(tuple[DrawnBody, ...]):
 def joint_placements(configuration: Configuration) -> list[Array]:
     """Return the placement of every joint in the world, in Pinocchio's order, shape=(4, 4) each."""
     model = configuration.mechanism.model
-    data = model.createData()
+    data = scratch_data(model)
     pin.forwardKinematics(model, data, np.array(configuration.q))
     return [np.array(placement.homogeneous) for placement in data.oMi]
 

@@ -33,16 +33,16 @@ def still_picture(bodies: Bodies, configuration: Configuration, azimuth: float, 
     if not parts:
         return ""
     points = np.concatenate([outline for _, outline, _ in parts])
-    low, size = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-9)
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    scale = _SIZE / max(float(extent.max()), 1e-9)
+    width, height = extent * scale
     shapes = []
     for _, outline, colour in parts:
-        at = (outline - low) * (_SIZE / size)
-        text = " ".join(f"{x:.1f},{np.ptp(points, axis=0)[1] / size * _SIZE - y:.1f}" for x, y in at)
+        text = " ".join(f"{x:.1f},{height - y:.1f}" for x, y in (outline - low) * scale)
         line = colours.css(_SHADE * np.array(colour[:3]))
         shapes.append(
             f'<polygon points="{text}" fill="{colours.css(colour[:3])}" fill-opacity="{colour[3]:g}" stroke="{line}"/>'
         )
-    width, height = np.ptp(points, axis=0) / size * _SIZE
     box = f"-8 -8 {width + 16:.0f} {height + 16:.0f}"
     return f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" width="{width + 16:.0f}">{"".join(shapes)}</svg>'
 
