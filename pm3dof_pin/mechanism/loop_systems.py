@@ -23,6 +23,8 @@ ZERO = MIN_LEVER
 RANK = 1e-6
 """Least relative singular value of equations that determine their joints."""
 
+_SURPLUS = 1e-3  # of an entry that an equation holds besides its own unknowns, scaled
+
 _SHARE = 0.3  # of the greatest, of an entry that can stand for an idle motion; engines must not choose by rounding
 
 
@@ -97,7 +99,57 @@ def split(equations: Sequence[LoopEquations], held: Iterable[int]) -> tuple[list
         waiting.remove(chosen.equations[0])
         found |= set(chosen.unknowns)
         systems.append(chosen)
-    return systems + [_system(equations, *group) for group in joined(equations, found, waiting)], idle
+    systems += [_system(equations, *group) for group in joined(equations, found, waiting)]
+    used = {index for system in systems for index in system.equations}
+    spent = [LoopSystem((index,), (), False, None) for index in range(len(equations)) if index not in used]
+    return _with_surplus(equations, [*systems, *spent], given | set(idle.at_rest)), idle
+
+
+def _with_surplus(
+    equations: Sequence[LoopEquations], systems: Iterable[LoopSystem], given: set[int]
+) -> list[LoopSystem]:
+    """Join systems whose equations hold unknowns of earlier ones, too: only together do they tell where they end.
+
+    Of a plate on three cranks, two of them are a parallelogram, whose flat pose the third holds.
+    """
+
+    def moved_by(system: LoopSystem) -> set[int]:
+        return {k for index in system.equations for k in equations[index].moving(given)}
+
+    result: list[LoopSystem] = []
+    for system in systems:
+        earlier = moved_by(system) - set(system.unknowns)
+        if not _holds(equations, system, tuple(sorted(earlier))):
+            result += [system] if system.unknowns else []
+            continue
+        group, later = [s for s in result if set(s.unknowns) & earlier], list[LoopSystem]()
+        while True:
+            unknowns = {k for s in group for k in s.unknowns}
+            needed = {k for s in (*group, system) for k in moved_by(s)}
+            later = []
+            for other in (s for s in result if s not in group):
+                if moved_by(other) & unknowns.union(*(s.unknowns for s in later)):
+                    later.append(other)
+            circular = [s for s in later if set(s.unknowns) & needed]
+            if not circular:
+                break
+            group += circular
+        members = sorted({index for s in (*group, system) for index in s.equations})
+        whole = _system(equations, tuple(members), tuple(sorted(unknowns.union(system.unknowns))))
+        result = [*(s for s in result if s not in group and s not in later), whole, *later]
+    return result
+
+
+def _holds(equations: Sequence[LoopEquations], system: LoopSystem, earlier: tuple[int, ...]) -> bool:
+    """Tell whether a system's equations still restrict earlier unknowns once its own are eliminated."""
+    parts = [(equations[index].indices, equations[index].samples) for index in system.equations]
+    own, others = stacked(parts, system.unknowns), stacked(parts, earlier)
+    finite = np.isfinite(own).all(axis=(1, 2)) & np.isfinite(others).all(axis=(1, 2))
+    if not earlier or not finite.any() or (system.unknowns and not system.is_determined):
+        return False
+    basis = np.linalg.qr(own[finite])[0]
+    rest = others[finite] - basis @ (np.swapaxes(basis, 1, 2) @ others[finite])
+    return bool(np.quantile(np.abs(rest).max(axis=(1, 2)), 0.5) > _SURPLUS)
 
 
 def joined(
@@ -117,9 +169,10 @@ def joined(
 
 def stacked(parts: Sequence[tuple[tuple[int, ...], Array]], unknowns: Sequence[int]) -> Array:
     """Stack the rows of equations, (indices, shape=(..., rows, number of indices)), with columns by the unknowns."""
+    samples = np.broadcast_shapes(*(values.shape[:-2] for _, values in parts))
     blocks = []
     for indices, values in parts:
-        block = np.zeros((*values.shape[:-1], len(unknowns)))
+        block = np.zeros((*samples, values.shape[-2], len(unknowns)))
         for column, k in enumerate(unknowns):
             if k in indices:
                 block[..., column] = values[..., indices.index(k)]

@@ -57,9 +57,9 @@ def _verify(mechanism: Mechanism, closed: Array, *, dense: bool) -> None:
         traced = _values([*frame.rotation.ravel(), *frame.translation, *tree.jacobian(name).ravel()], len(every))
         for row, configuration in enumerate(configurations[: len(rows)]):
             _compare(mechanism, f"frame '{name}'", traced[row], _frame(configuration, name))
-    resting = objects([0.0] * model.nv)
     for index, (name, equations) in enumerate(zip(mechanism.constraint_names, loop_equations(tree), strict=True)):
-        columns = [equations.columns.get(k, resting[: len(equations.error)]) for k in range(model.nv)]
+        resting = objects([0.0] * len(equations.error))
+        columns = [equations.columns.get(k, resting) for k in range(model.nv)]
         traced = _values([x for column in columns for x in column], len(every))
         for row, configuration in enumerate(configurations[len(rows) :], len(rows)):
             # the same function where the loops are closed, and differing by as much as a description leaves them open
