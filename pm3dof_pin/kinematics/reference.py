@@ -29,7 +29,7 @@ _SHORTEST_LEG = 1.0 / 1024.0  # relative to that
 _FIRST_LEG = 1.0 / 8.0  # relative to it, as there is no prediction yet
 _JUMP = 0.06  # largest distance of a joint from its prediction [rad, characteristic lengths]
 _LEAP = 0.5  # the same of the first leg from the side of a singular home, which may pass that
-_NARROWING = 0.5  # greatest usual loss of regularity [1/rad, 1/characteristic length]
+_NARROWING = 2.0  # greatest usual loss of regularity [1/rad, 1/characteristic length]
 _KEPT = 0.5  # part of the regularity that a leg leaves
 _STEPS = 8  # per leg, if it may be repeated
 _LAST_STEPS = 100
@@ -170,7 +170,8 @@ class _Walk:
             steps = _LAST_STEPS if is_last_try else _STEPS
             guess = pin.integrate(robot.model, q, rate * (reached - done))
             result = None
-            if regularity + narrowing * (reached - done) > 0.0 or (is_last_try and done == 0.0):
+            leaves_singular = is_last_try and done == 0.0 and regularity <= _SINGULAR
+            if regularity + narrowing * (reached - done) > 0.0 or leaves_singular:
                 result = assemble_at(robot, self._coordinates, values, guess, steps)
             jump = _LEAP if done == 0.0 and is_beside else _JUMP
             if result is not None and self._is_near(guess, result, jump):

@@ -9,9 +9,10 @@ A leg starts from the last accepted configuration, extrapolated from the two bef
 loops are closed. It is accepted if no joint jumped, no system of equations is singular, and all determinants have the
 signs that they have at the start, so that the branch is the same. Then the next leg is up to twice as long; otherwise
 it is half as long, until it is too short and the walk has failed. Where a leg has ended on another branch, no later one
-goes so far: a third branch that begins between them can have the signs of the first. The last leg may end at a singular
-configuration. The signs of the drives' determinants are compared at the end, see
-:func:`~pm3dof_pin.programs.closing.branch_number`.
+goes so far: a third branch that begins between them can have the signs of the first. No leg goes as far as to where the
+regularity would be zero if it went on to fall as it did in the leg before: from the flat pose of a parallelogram a
+crossed one begins that has its signs. The last leg may end at a singular configuration. The signs of the drives'
+determinants are compared at the end, see :func:`~pm3dof_pin.programs.closing.branch_number`.
 """
 
 from __future__ import annotations
@@ -78,6 +79,11 @@ WALK = _Limits(jump=0.3, regularity=1e-5)
 MARCH = _Limits(jump=0.1, regularity=1e-3)
 """Limits between neighbours of a grid."""
 
+_NARROWING = 2.0  # loss of regularity that the first leg expects [1/rad, 1/characteristic length]
+_SLOWEST = 1e-12  # loss of regularity that counts as none
+_NEARER = 0.75  # of the way to where the regularity would end, in one leg
+_CLOSEST = 1e-3  # to a singular configuration, but at the end [rad, characteristic lengths]
+_AS_FAR = 1.05  # of the way to where the regularity would end, up to where the last leg may go
 _FAR = 1000.0  # longest walk [rad, characteristic lengths]
 _LAST_STEPS = 50  # for the last leg: near a singular configuration the first steps only halve the distance
 
@@ -263,9 +269,10 @@ def start_program(
     state: dict[str, Any] = {
         **{"q": q, "margin": 1.0, "jump": 0.0, "given": origins, "reached": q, "earlier": q},
         **{"mode": 0.0, "barrier": 2.0, "done": 0.0, "step": 1.0 / legs, "last": 0.0, "goal": 0.0},
+        **{"regularity": 1.0, "narrowing": distance * _NARROWING if np.isfinite(leg) else 0.0},
         **{"count": select(less(distance, far), -1.0, -2.0), "singular": 0.0, "status": 1.0},
         **{"origins": origins, "targets": targets, "longest": 1.0 / legs, "shortest": shortest / legs},
-        "tolerance": tolerance,
+        **{"tolerance": tolerance, "closest": _CLOSEST / maximum(distance, _SLOWEST) if np.isfinite(leg) else 0.0},
     }
     return graph.program("start", state)
 
@@ -317,7 +324,8 @@ def control_program(
     unit = longest * SHORTEST_LEG
     tolerance = maximum(now["tolerance"], NEARLY_CLOSED)
     is_last = less(0.999999, goal)
-    is_near = is_last & less(1.0 - done, unit * 2.5)  # the walk may end at a singular configuration, but not pass it
+    # the walk may end at a singular configuration, but not pass it
+    is_near = is_last & less(1.0 - done, maximum(now["closest"], unit * 2.5))
     is_nearly_closed = less(residual, tolerance)
     goes_on = ~is_nearly_closed & less(count, select(is_near, _LAST_STEPS, STEPS))
     is_precise = less(residual, now["tolerance"]) & less(1.5, count)
@@ -338,14 +346,22 @@ def control_program(
     reached = _each(is_accepted, _each(ends_singular, now["q"], found), now["reached"])  # a singular step opens loops
     earlier = _each(is_accepted, now["reached"], now["earlier"])
     last = select(is_accepted, goal - done, last)
+    narrowing = select(is_accepted, (now["regularity"] - regularity) / (goal - done), now["narrowing"])
+    regular = select(is_accepted | begins, regularity, now["regularity"])
     done = select(is_accepted, goal, done)
     step = select(is_accepted, minimum(step * 2.0, longest), select(is_rejected, step * 0.5, step))
+    way = regular / maximum(narrowing, _SLOWEST)  # to a singular configuration, if nothing changes
+    from_singular = begins & less(regularity, WALK.regularity)
+    step = select(from_singular, step, minimum(step, way * _NEARER))
+    is_before = less(way, now["closest"]) & ~from_singular
+    ends_there = is_before & less(1.0 - done, way * _AS_FAR)
+    following = select(less(1.0 - unit * 1.25, done + step) | ends_there, 1.0, done + step)
     ended = select(is_rejected & less(step, now["shortest"]), select(is_closed, SINGULAR, OPEN), 1.0)
+    ended = select((is_accepted | begins) & is_before & less(following, 1.0), SINGULAR, ended)
     ended = select(is_accepted & is_last, REACHED, ended)
     ended = select(begins & ~(less(-1.5, now["count"]) & less(margin, 2.0)), TOO_FAR, ended)
 
     # the next leg
-    following = select(less(1.0 - unit * 1.25, done + step), 1.0, done + step)
     ratio = select(less(0.0, last), (following - done) / last, 0.0)
     ahead = [a + (a - b) * ratio if extends else a for a, b, extends in zip(reached, earlier, linear, strict=True)]
     between = [a * (1.0 - following) + b * following for a, b in zip(now["origins"], now["targets"], strict=True)]
@@ -356,10 +372,11 @@ def control_program(
         "given": _each(goes_on, now["given"], objects(between)),
         **{"reached": reached, "earlier": earlier, "mode": mode},
         **{"barrier": select(is_beyond, minimum(now["barrier"], goal), now["barrier"]), "done": done},
-        **{"step": step, "last": last},
-        **{"goal": select(goes_on, goal, following), "count": select(goes_on, count, 0.0)},
+        **{"step": step, "last": last, "goal": select(goes_on, goal, following)},
+        **{"regularity": regular, "narrowing": narrowing, "count": select(goes_on, count, 0.0)},
         **{"singular": select(ends_singular & is_accepted, 1.0, 0.0), "status": ended},
     }
+    assert list(state) == list(start.outputs)[: len(state)]
     return graph.program("control", state)
 
 
