@@ -21,13 +21,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.csv_table import CsvTable
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError
 from pm3dof_pin.files import csv_text, read_text, write_text_atomically
@@ -195,7 +196,8 @@ def evaluate_acceptance(
     """Evaluate a test from a file.
 
     Columns: `target_m,direction,deviation_m` (1 approached upwards, -1 downwards), for diagonals also `diagonal`;
-    `angle_rad,direction,radius_m` (1 counter-clockwise); or `x_m,y_m,z_m` of touches of a sphere.
+    `angle_rad,direction,radius_m` (1 counter-clockwise); or `x_m,y_m,z_m` of touches of a sphere. Units are those of
+    the headings.
 
     Args:
         test: which.
@@ -212,7 +214,7 @@ def evaluate_acceptance(
     if test not in get_args(AcceptanceTest):
         raise InvalidValueError("test", test, f"one of {', '.join(get_args(AcceptanceTest))}")
     needed, errors, generator = _COLUMNS[test], instrument or InstrumentErrors(), np.random.default_rng(seed)
-    table = Export.read(Path(path), needed, columns).table(needed)
+    table = _table(Path(path), needed, columns or ColumnMap())
     table.keep(np.asarray(np.isfinite(table.matrix(needed)).all(axis=1)))
     data = {name: table[name] for name in needed}
     if "direction" in data and (wrong := ~np.isin(data["direction"], _SIDES)).any():
@@ -242,6 +244,24 @@ def evaluate_acceptance(
     # about the result itself: noise also makes every range too large, which counts as uncertainty
     spread = {name: 2.0 * float(np.sqrt(np.mean((np.array(drawn[name]) - values[name]) ** 2))) for name in values}
     return AcceptanceResult(test, values, spread, len(table))
+
+
+def _table(path: Path, needed: tuple[str, ...], columns: ColumnMap) -> CsvTable:
+    """Read a file as it comes, whose headings are the needed columns in any unit.
+
+    Raises:
+        MeasurementError: it cannot be read, or a heading of a length or an angle has no unit.
+    """
+    given = {heading.casefold() for heading in columns.columns}
+    stems = {name.rpartition("_")[0] or name: name for name in needed}
+    own = {stem: name for stem, name in stems.items() if stem not in given}
+    export = Export.read(path, needed, replace(columns, columns=own | dict(columns.columns)))
+    headings = {name: export.headings.get(name, "").strip() for name in needed}
+    if bare := [headings[name] for stem, name in own.items() if stem != name and headings[name].casefold() == stem]:
+        unit = "deg" if own[bare[0].casefold()].endswith("_rad") else "mm"
+        problem = f"{', '.join(bare)} without a unit: expected headings such as {bare[0]} [{unit}], or --columns"
+        raise MeasurementError(path, problem, [max(export.header_line, 1)])
+    return export.table(needed)
 
 
 def _positioning(data: dict[str, Array]) -> dict[str, float]:

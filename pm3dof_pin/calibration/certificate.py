@@ -6,6 +6,9 @@ folder and from acceptance tests. U is the expanded uncertainty, k = 2; with a l
 
     simple           conforms if value <= T,
     guarded          conforms if value + U <= T, does not if value - U > T, otherwise undecided (ISO 14253-1).
+
+The bound by the calibration already contains its uncertainty, so it has no U: guarded, it conforms if it is <= T, and
+is otherwise undecided. It is exceeded by one pose in twenty, and these count in the root mean square over all poses.
 """
 
 from __future__ import annotations
@@ -71,7 +74,8 @@ SCHEMA: dict[str, Any] = {
                     "name": _TEXT,
                     "symbol": _TEXT,
                     "value_m": {"type": "number"},
-                    "expanded_uncertainty_k2_m": _NUMBER_OR_NONE,
+                    "expanded_uncertainty_k2_m": _NUMBER_OR_NONE
+                    | {"description": "null if it is not stated, or included in the value of a bound"},
                     "limit_m": _NUMBER_OR_NONE,
                     "decision": {"enum": ["conforms", "does not conform", "undecided", "no limit"]},
                     "source": _TEXT,
@@ -85,7 +89,8 @@ SCHEMA: dict[str, Any] = {
 
 _REQUIRED = ("date", "machine", "instrument", "temperature_C", "procedure", "signed_by")
 _OPTIONAL = ("place", "limits_m", "decision_rule")
-_BOUND = "95 % bound of the tip error over the workspace, corrected"
+_BOUND = "bound of the tip error, corrected, at 95 % of the poses of the workspace, each with 95 % probability"
+_BOUND_SYMBOL = "tip.bound_95"
 _RMS = "tip error over the workspace, corrected, root mean square"
 _PACKAGES = ("pm3dof_pin", "pin", "numpy", "scipy")
 
@@ -137,7 +142,7 @@ class Certificate:
                 "value_m": value,
                 "expanded_uncertainty_k2_m": uncertainty,
                 "limit_m": limits.get(symbol),
-                "decision": _decision(value, uncertainty, limits.get(symbol), rule),
+                "decision": _decision(value, uncertainty, limits.get(symbol), rule, is_bound=symbol == _BOUND_SYMBOL),
                 "source": source,
             }
             for name, symbol, value, uncertainty, source in found
@@ -156,12 +161,12 @@ class Certificate:
         data = self.data
         rows = []
         for each in data["statements"]:
-            uncertainty, limit = each["expanded_uncertainty_k2_m"], each["limit_m"]
+            limit = each["limit_m"]
             rows.append(
                 [
                     each["name"],
                     f"{1e6 * each['value_m']:.1f}",
-                    "not stated" if uncertainty is None else f"{1e6 * uncertainty:.1f}",
+                    uncertainty_in_words(each),
                     "" if limit is None else f"{1e6 * limit:.1f}",
                     each["decision"],
                     each["source"],
@@ -173,7 +178,8 @@ class Certificate:
         rule = {
             "simple": "A value conforms if it does not exceed its limit; its uncertainty is not regarded.",
             "guarded": "A value conforms if value + U does not exceed its limit; it does not if value - U exceeds it. "
-            "Otherwise it is undecided (ISO 14253-1).",
+            "Otherwise it is undecided (ISO 14253-1). A bound, which includes its uncertainty, conforms if it does not "
+            "exceed its limit, and is otherwise undecided.",
         }[data["decision_rule"]]
         software = ", ".join(f"{name} {number}" for name, number in data["versions"].items())
         parts = [
@@ -190,6 +196,14 @@ class Certificate:
             f"<p><br><br>______________________________<br>{escape(data['signed_by'])}</p>",
         ]
         return html_page(f"Calibration report: {data['machine']['name']}", parts)
+
+
+def uncertainty_in_words(statement: Mapping[str, Any]) -> str:
+    """Return the expanded uncertainty of one of the statements [µm], or that it is included or not stated."""
+    uncertainty = statement["expanded_uncertainty_k2_m"]
+    if uncertainty is None:
+        return "included" if statement["symbol"] == _BOUND_SYMBOL else "not stated"
+    return f"{1e6 * uncertainty:z.1f}"
 
 
 def _about(path: Path) -> dict[str, Any]:
@@ -247,8 +261,7 @@ def _of_calibration(summary: Mapping[str, Any]) -> list[tuple[str, str, float, f
         low, high = interval
         found.append((_RMS, "tip.rms", 0.5 * (low + high), 0.5 * (high - low), "calibration, 95 % interval"))
     if bound is not None:
-        # a bound contains its uncertainty
-        found.append((_BOUND, "tip.bound_95", bound, 0.0, "calibration, uncertainty included"))
+        found.append((_BOUND, _BOUND_SYMBOL, bound, None, "calibration, uncertainty included"))
     if "validation" in summary:
         errors = summary["validation"]["tip_error_after_m"]
         count = summary["validation"]["poses"]
@@ -274,10 +287,10 @@ def _not_claimed(summary: Mapping[str, Any], tests: Sequence[AcceptanceResult]) 
     return texts
 
 
-def _decision(value: float, uncertainty: float | None, limit: float | None, rule: str) -> str:
+def _decision(value: float, uncertainty: float | None, limit: float | None, rule: str, *, is_bound: bool) -> str:
     if limit is None:
         return "no limit"
-    if rule == "simple":
+    if rule == "simple" or (is_bound and value <= limit):
         return "conforms" if value <= limit else "does not conform"
     if uncertainty is None:
         return "undecided"

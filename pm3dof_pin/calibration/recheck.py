@@ -68,7 +68,7 @@ class Recheck:
     @property
     def risk(self) -> float:
         """Probability that the verdict is wrong."""
-        return 1.0 - self.probabilities[self.verdict]
+        return sum(other for verdict, other in self.probabilities.items() if verdict != self.verdict)
 
     def as_data(self) -> dict[str, Any]:
         """Return everything as plain data; keys end in their unit."""
@@ -163,9 +163,9 @@ def recheck(calibration: Compensation | Path | str, measurements: Measurements, 
         means.append(gain @ solved)
         spreads.append(np.diag(change.sigmas**2) - gain @ scipy.linalg.cho_solve(factor, gain.T))
     weights = scipy.special.softmax(evidence)
+    verdicts = np.array([change.verdict for change in hypotheses])
     probabilities: dict[Verdict, float] = {
-        verdict: float(sum(w for w, change in zip(weights, hypotheses, strict=True) if change.verdict == verdict))
-        for verdict in get_args(Verdict)
+        verdict: min(1.0, float(weights[verdicts == verdict].sum())) for verdict in get_args(Verdict)
     }
     square = float(off @ np.linalg.solve(variance, off))
     zeros, sigmas = _zeros(by_change[:, :count], variance, off)

@@ -133,7 +133,8 @@ def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as
             "bow of a bed looks the same"
             for count, names in summary["parameters_beyond_a_ruler"].items()
         ),
-        f"size of prints: {100.0 * (summary['print_scale'] - 1.0):+z.2f} %; heights tell it hardly, so measure a print",
+        f"size of prints: {100.0 * (summary['print_scale'] - 1.0):+z.2f} %"
+        + ("" if summary["distances"] else "; heights tell it hardly, so measure a print"),
         *(f"not determined by these touches: {words}" for words in summary["not_determined"]),
     ]
     if bed_mesh:
@@ -145,8 +146,10 @@ def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as
     rows = []
     for name, change in summary["changes"].items():
         scale, unit = scales[change["unit"]]
-        rows.append([name, f"{scale * change['value']:+.4f}", f"{scale * change['sigma_of_the_data']:z.4f}", unit])
-    lines += ["", *table_lines(["parameter", "change", "sigma", "unit"], rows)]
+        sigmas = (f"{scale * change[key]:z.4f}" for key in ("sigma_of_the_data", "sigma"))
+        rows.append([name, f"{scale * change['value']:+.4f}", *sigmas, unit])
+    heads = ["number", "change", "sigma of the touches alone", "sigma with what they cannot tell", "unit"]
+    lines += ["", *table_lines(heads, rows)]
     print_result({"directory": str(folder)} | summary, lines, as_json=as_json)
     message(f"wrote {folder / found.file.path.name}")
 

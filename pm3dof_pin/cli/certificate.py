@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from pm3dof_pin.calibration.acceptance import AcceptanceResult
-from pm3dof_pin.calibration.certificate import SCHEMA, Certificate
+from pm3dof_pin.calibration.certificate import SCHEMA, Certificate, uncertainty_in_words
 from pm3dof_pin.cli.options import Json
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.files import write_text_atomically
@@ -37,9 +37,7 @@ def certificate(
     files = [write_text_atomically(out / name, text) for name, text in texts.items()]
     rows = []
     for each in found.data["statements"]:
-        uncertainty = each["expanded_uncertainty_k2_m"]
-        known = "not stated" if uncertainty is None else f"{1e6 * uncertainty:z.1f}"
-        rows.append([each["symbol"], f"{1e6 * each['value_m']:z.1f}", known, each["decision"]])
+        rows.append([each["symbol"], f"{1e6 * each['value_m']:z.1f}", uncertainty_in_words(each), each["decision"]])
     lines = table_lines(["statement", "[µm]", "U, k = 2", "decision"], rows)
     print_result(
         found.data,

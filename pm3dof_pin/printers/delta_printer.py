@@ -15,6 +15,7 @@ which no parameter changes.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -140,6 +141,16 @@ class DeltaPrinter:
                 TiedEntry(f"arm_{axis}", {f"arm{k}_tip.tz": 1.0}, _GROUP, _ARM, "m") for k, axis in _NUMBERED.items()
             ]
         return tuple(ties)
+
+    def numbers(self, names: Sequence[str]) -> Vector:
+        """Return the firmware's numbers that parameters of :meth:`parameters` change, shape=(names,) [m, rad].
+
+        Of all arms it is the mean.
+        """
+        known = {"radius": self.radius, "arms": float(np.mean(self.arms)), "shoulder_height": self.shoulder_height}
+        for word, values in (("angle", self.angles), ("arm", self.arms), ("end_stop", self.end_stops)):
+            known |= {f"{word}_{axis}": value for axis, value in zip(AXES, values, strict=True)}
+        return np.array([known[name] for name in names])
 
     @property
     def counts(self) -> tuple[int, ...]:

@@ -52,7 +52,7 @@ class DuetBackup(GCodeLog):
             raise MeasurementError(height_map, f"no {config.name} beside it, with the M665 and M666 of the printer")
         text, override = read_text(config), config.with_name(_OVERRIDE)
         log = GCodeLog.parse(config, text)
-        if re.search(r"^\s*M501\b", text, re.MULTILINE) and override.is_file():
+        if re.search(r"^\s*M501\b", text, re.MULTILINE | re.IGNORECASE) and override.is_file():
             later = read_text(override)
             saved = GCodeLog.parse(override, later)
             log = log.then(saved)
@@ -70,7 +70,7 @@ class DuetBackup(GCodeLog):
         """Return the file with another printer's M665 and M666 in place of the last ones."""
         lines = self.text.splitlines(keepends=True)
         for code in super().with_printer(printer, mesh).splitlines():
-            places = [k for k, line in enumerate(lines) if re.match(rf"\s*{code[:4]}\b", line)]
+            places = [k for k, line in enumerate(lines) if re.match(rf"\s*{code[:4]}\b", line, re.IGNORECASE)]
             if places:
                 old = lines[places[-1]]
                 lines[places[-1]] = old.replace(old.partition(";")[0].strip(), code, 1)

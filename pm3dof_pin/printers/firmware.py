@@ -65,11 +65,11 @@ def read_firmware(path: Path, text: str) -> FirmwareFile:
     Raises:
         MeasurementError: it is of no firmware that is known.
     """
-    if re.search(r"^\[printer\]", text, re.MULTILINE | re.IGNORECASE):
+    if re.search(r"^\[(printer\]|include\s)", text, re.MULTILINE | re.IGNORECASE):
         return KlipperFile.parse(path, text)
     if is_height_map(text):
         return DuetBackup.of(path.with_name(CONFIG), path)
-    if "M665" in text:
+    if "M665" in text.upper():
         log = GCodeLog.parse(path, text)
         height_map = path.with_name(HEIGHT_MAP)
         return log if log.probed or not height_map.is_file() else DuetBackup.of(path, height_map)

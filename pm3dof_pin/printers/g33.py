@@ -4,6 +4,10 @@ The places are the centre, c, and on a circle those before the towers, x, y and 
 Heights belong to the settings that were reported before them: at the end of a calibration G33 reports others. With four
 points a side or more (P4 and above) each height is an average over a part of the circle, which hides the errors that
 are sought; P3 reports single touches, but for the centre: there it is the mean of three, a tenth of the circle away.
+
+The radius of the circle is what the report says, "at radius:"; R in the command then made the circle smaller by as
+much. Where the report says none, R is the radius itself, and without R it is the B of M665. Reports with the words
+"Tower angle" are of versions that had no R and ignored it.
 """
 
 from __future__ import annotations
@@ -17,9 +21,10 @@ import numpy as np
 from pm3dof_pin.exceptions import MeasurementError
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)"
-_COMMAND = re.compile(r"\bG33\b(?!\s*Auto)([^;]*)")
-_WORD = re.compile(rf"\b([PR])\s*({_NUMBER})")
+_COMMAND = re.compile(r"\bG33(?![\d.])(?!\s*AUTO)([^;]*)")
+_WORD = re.compile(rf"([A-Z])\s*({_NUMBER})")
 _RADIUS = re.compile(rf"Checking\.\.\. AC at radius:\s*({_NUMBER})")
+_WITHOUT_R = ".Tower angle"
 _SETTINGS = re.compile(r"\.(?:Height:|Tower angle\s*:|\s+Tx:)")
 _SETTING = re.compile(rf"\b(Height|Radius|[ET][xyz]):\s*({_NUMBER})(?![\w.])")
 _RESULTS = re.compile(r"\.\s+(?:c|yz):")
@@ -36,7 +41,7 @@ class G33Reports:
     path: Path  #: the log
     settings: dict[str, float] = field(default_factory=dict)  #: Height, Ex ... Ez, Radius, Tx ... Tz [mm, degrees]
     _points: float | None = None  # P of the last command
-    _smaller: float = 0.0  # its R [mm]
+    _given: float | None = None  # its R [mm]
     _radius: float | None = None  # that was reported [mm]
 
     @property
@@ -57,18 +62,19 @@ class G33Reports:
         Args:
             line: the line.
             number: which one it is.
-            radius: of the circle if no line says it [mm].
+            radius: of the circle if neither a report nor R says it [mm].
 
         Raises:
             MeasurementError: a height is no number, may be an average, or was probed at an unknown radius.
         """
-        if command := _COMMAND.search(line):
+        if command := _COMMAND.search(line.upper()):
             words = {letter: float(value) for letter, value in _WORD.findall(command[1])}
-            self._points, self._smaller, self._radius = words.get("P"), words.get("R", 0.0), None
+            self._points, self._given, self._radius = words.get("P"), words.get("R"), None
         elif found := _RADIUS.search(line):
             self._radius = float(found[1])
         elif _SETTINGS.search(line):
             self.settings |= {name: float(value) for name, value in _SETTING.findall(line)}
+            self._given = None if line.lstrip().startswith(_WITHOUT_R) else self._given
         if not _RESULTS.search(line):
             return []
         if not (row := _ROW.search(line.rstrip())):
@@ -77,11 +83,12 @@ class G33Reports:
             what = "G33 without P" if self._points is None else f"G33 P{self._points:g}"
             problem = f"{what}: heights that may be averages over a part of the circle; expected those of G33 P3 V0"
             raise MeasurementError(self.path, problem, [number])
-        around = self._radius
-        if around is None and radius is not None:
-            around = radius - self._smaller
+        around = next((known for known in (self._radius, self._given, radius) if known is not None), None)
         if around is None:
-            problem = "heights of G33 at an unknown radius: add B (DELTA_CALIBRATION_RADIUS) to M665, and no A or C"
+            problem = (
+                "heights of G33 at an unknown radius: expected 'at radius:' in its report, R in the command, or the B "
+                "(DELTA_CALIBRATION_RADIUS) of M665 without A and C"
+            )
             raise MeasurementError(self.path, problem, [number])
         places = {name: np.radians(angle) for name, angle in _DIRECTIONS.items()}
         return [

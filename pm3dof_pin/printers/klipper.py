@@ -2,8 +2,8 @@
 
 A touch is saved as the steps that each drive took from its end stop, so it depends on no parameter. A step is
 rotation_distance / (full steps x microsteps x gears), in millimetres, or 2 pi for a drive that turns; older files have
-step_distance. Options in the block that SAVE_CONFIG writes override those above it. Files that are included are read
-where they lie beside the file or below it; what stands in them is not changed.
+step_distance. As in Klipper, options override those in the block that SAVE_CONFIG writes, also where they are included.
+Files that are included are read where they lie beside the file or below it; what stands in them is not changed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class KlipperFile:
     path: Path  #: the file
     lines: tuple[str, ...]  #: its lines above the saved block
     saved: Mapping[str, Mapping[str, str]]  #: options of the saved block, by section
-    options: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  #: all options, saved ones first
+    options: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  #: all options that hold
     included: Mapping[tuple[str, str], str] = field(default_factory=dict)  #: the files of options that are included
     not_found: tuple[str, ...] = ()  #: files that it includes, and that do not lie beside it
 
@@ -51,7 +51,7 @@ class KlipperFile:
 
     @classmethod
     def parse(cls, path: Path, text: str) -> KlipperFile:
-        """Read sections and options; later ones override earlier ones, and saved ones both.
+        """Read sections and options; later ones override earlier ones, and all override saved ones.
 
         Raises:
             MeasurementError: it includes itself, or too many files.
@@ -80,7 +80,7 @@ class KlipperFile:
                 if file != path:
                     included[section[False], name] = file.name
         names = {*above, *saved}
-        options = {n: {**above.get(n, {}), **saved.get(n, {})} for n in names}
+        options = {n: {**saved.get(n, {}), **above.get(n, {})} for n in names}
         return cls(path, tuple(lines), saved, options, included, tuple(not_found))
 
     @property

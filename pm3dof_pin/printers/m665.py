@@ -8,8 +8,9 @@ along x and y [%], which are kept, as are the arms and end stops U, V, W of more
 
 A probed height h at (x, y) means that the printer, as it was, took the nozzle to be at (x, y, h) when it touched the
 bed. Marlin writes "Bed X: 10.0 Y: 20.0 Z: 0.12"; for RepRapFirmware the G30 P... X... Y... lines of bed.g are paired
-with the numbers of its answer "bed probe heights: 0.12 -0.03 ...", without the mean and deviation at its end. These
-points are the probe's, from which the nozzle is away by the X and Y of G31. Reports of Marlin's G33 are read by
+with the numbers of its answer "bed probe heights: 0.12 -0.03 ...", without the mean and deviation at its end. P is the
+number of a point; P0 begins anew. These points are the probe's, from which the nozzle is away by the X and Y of G31.
+Letters may be small. Reports of Marlin's G33 are read by
 :mod:`~pm3dof_pin.printers.g33`; those with the same settings are read together.
 """
 
@@ -35,7 +36,7 @@ _ARMS = re.compile(rf"L\s*((?:{_NUMBER})(?:\s*:\s*(?:{_NUMBER}))*)")
 _WORDS = re.compile(rf"(?:\s*[A-DF-Z]\s*(?:{_NUMBER})(?:\s*:\s*(?:{_NUMBER}))*)+\s*(?:\*\d+)?\s*")
 _MARLIN = re.compile(rf"Bed X:\s*({_NUMBER})\s*Y:\s*({_NUMBER})\s*Z:\s*({_NUMBER})(?![\w.,])")
 _HEIGHTS = re.compile(rf"bed probe heights:\s*((?:(?:{_NUMBER})[\s,]*)+)", re.IGNORECASE)
-_POINT = re.compile(r"\bG30\b[^;]*\bP\s*\d+[^;]*")
+_POINT = re.compile(r"\bG30(?!\d)[^;]*P\s*\d+[^;]*")
 _TOWERS = (210.0, 330.0, 90.0)
 _LETTERS, _TRIMS = "XYZ", "ABC"
 _SAME = 5e-5  # [mm], of what is written
@@ -77,29 +78,30 @@ class GCodeLog:
         arms: tuple[float, ...] = ()
         stops: dict[str, float] = {}
         probe: dict[str, float] = {}
-        points: list[tuple[float, float]] = []
+        points: dict[float, tuple[float, float]] = {}
         probed: list[tuple[float, float, float]] = []
         firmware: Literal["RepRapFirmware", "Marlin"] = "RepRapFirmware"
         reports, probed_with = G33Reports(path), dict[str, float]()
         for number, line in enumerate(text.splitlines(), start=1):
             code = _code(line)
-            words = {letter: float(value) for letter, value in _WORD.findall(code.upper())}
+            words = {letter: float(value) for letter, value in _WORD.findall(code)}
             is_point = bool(_POINT.search(code))
             # two words, of which one is the command: prose that mentions it has one
-            if len(words) > 1 and ("M665" in code or "M666" in code or is_point) and not _WORDS.fullmatch(code.upper()):
+            if len(words) > 1 and ("M665" in code or "M666" in code or is_point) and not _WORDS.fullmatch(code):
                 problem = f"'{code.strip()}': expected letters, each with a number such as 105.5"
                 raise MeasurementError(path, problem, [number])
             if "M665" in code:
                 geometry |= words
-                if lengths := _ARMS.search(code.upper()):
+                if lengths := _ARMS.search(code):
                     arms = tuple(float(length) for length in lengths[1].split(":"))
                     if len(arms) == 2:  # more than three belong to towers that do not carry the nozzle
                         raise MeasurementError(path, "M665 L has 2 lengths; expected one, or one a tower", [number])
-                probed = []
+                is_circle = words.keys() == {"M", "B"} and _radius_of_g33(geometry) is not None  # of G33, no number
+                probed = probed if is_circle else []
             elif "M666" in code:
                 stops |= words
             elif "G31" in code and not words.get("K"):  # of the first probe
-                if re.search(rf"[XY](?!\s*(?:{_NUMBER}))", code.upper()):
+                if re.search(rf"[XY](?!\s*(?:{_NUMBER}))", code):
                     raise MeasurementError(path, f"'{code.strip()}': expected numbers after X and Y", [number])
                 probe |= {letter: words[letter] for letter in "XY" if letter in words}
             elif "Bed X:" in line:
@@ -120,9 +122,11 @@ class GCodeLog:
                 if len(heights) != len(points):
                     problem = f"{len(heights)} bed probe heights for {len(points)} points (G30 P... X... Y...)"
                     raise MeasurementError(path, problem)
-                probed += [(x, y, height) for (x, y), height in zip(points, heights, strict=True)]
+                places = [points[point] for point in sorted(points)]
+                probed += [(x, y, height) for (x, y), height in zip(places, heights, strict=True)]
             elif is_point and {"X", "Y"} <= set(words):
-                points.append((words["X"], words["Y"]))
+                points = {} if words["P"] == 0.0 else points
+                points[words["P"]] = words["X"], words["Y"]
         return cls(path, firmware, geometry, arms, stops, tuple(probed), probe)
 
     def then(self, later: GCodeLog) -> GCodeLog:
@@ -199,7 +203,7 @@ def _radius_of_g33(geometry: dict[str, float]) -> float | None:
 
 
 def _code(line: str) -> str:
-    """Return a line from the command that is read on, without comments; else all of it."""
-    words = re.sub(r"\([^)]*\)", "", line.split(";", 1)[0])
-    found = re.search(r"M665|M666|\bG3[01]\b", words)
+    """Return a line in capitals from the command that is read on, without comments; else all of it."""
+    words = re.sub(r"\([^)]*\)", "", line.split(";", 1)[0]).upper()
+    found = re.search(r"M665|M666|\bG3[01](?!\d)", words)
     return words[found.start() :] if found else words

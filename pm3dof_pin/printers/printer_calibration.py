@@ -5,12 +5,17 @@ whose error at touches held out is within one standard error of the best one's (
 Classification and Regression Trees, 1984). Heights determine the lengths of arms hardly: an error of all arms hides
 behind radius and end stops, and the bow of a bed looks like one, with which prints would change their size. Distances
 measured on a print tell them.
+
+Changes are those of the numbers in the firmware. Each has two standard deviations: by what the touches say of the set
+that was taken, as if all other numbers were exact, and by all of the firmware's parameters, the others known only as
+well as by a ruler.
 """
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +23,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 
+from pm3dof_pin.calibration.identifiability import Identifiability
 from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.linearisation import Loss
 from pm3dof_pin.description.yaml_file import yaml_text
@@ -45,6 +51,10 @@ _RING = 24  # points
 _ROBUST = 3  # touches a parameter from which outliers can be told
 _OUTLIER = 6.0  # times the median size of held-out errors: one in 20,000 normal ones
 _MISSED = 2.0  # tolerances, by which a number may be wrong unnoticed
+_IMPOSSIBLE = 6.0  # tolerances, by which no number is wrong
+_UNEVEN = 20.0  # times the noise of a touch, more than any bed is uneven
+_STEP = 1e-6  # of a difference quotient, in tolerances
+_WRONG = "numbers, sizes of steps (microsteps, rotation_distance) or touches are wrong"
 _PROBABILITIES = np.array([0.025, 0.975])
 _SUMMARY = "calibration.yaml"
 
@@ -128,8 +138,6 @@ class PrinterCalibration:
 
     def summary(self) -> dict[str, Any]:
         """Return what was found as plain data; keys end in their unit."""
-        found = self.identification
-        parameters = zip(found.errors.names, found.values, found.data_sigmas, found.errors.units, strict=True)
         return {
             "firmware": self.file.firmware,
             "touches": len(self.touches),
@@ -147,12 +155,34 @@ class PrinterCalibration:
             "parameters_beyond_a_ruler": {str(count): list(names) for count, names in self.implausible.items()},
             "print_scale": self.print_scale,
             "not_determined": list(self.undetermined),
-            "changes": {
-                name: {"value": float(value), "sigma_of_the_data": float(sigma), "unit": unit}
-                for name, value, sigma, unit in parameters
-            },
+            "changes": self.changes,
             "printer": self.after.as_data(),
         }
+
+    @property
+    def changes(self) -> dict[str, dict[str, Any]]:
+        """Return the change of each of the firmware's numbers that was taken, with both standard deviations."""
+        found = self.identification
+        names = found.errors.names
+        values = self.after.numbers(names) - self.before.numbers(names)
+        own, every = (self._sigmas(fit, names) for fit in (found, self.identification_of_all))
+        units = ["rad" if name.startswith("angle") else "m" for name in names]
+        return {
+            name: {"value": value, "sigma_of_the_data": sigma, "sigma": max(sigma, whole), "unit": unit}
+            for name, value, sigma, whole, unit in zip(
+                names, values.tolist(), own.tolist(), every.tolist(), units, strict=True
+            )
+        }
+
+    def _sigmas(self, fit: Identification, names: Sequence[str]) -> Array:
+        """Return standard deviations of numbers of the firmware by those of a fit's parameters, shape=(names,)."""
+        steps = np.diag(_STEP * fit.errors.tolerances)
+        ends = [
+            [self.before.displaced(fit.errors.named(fit.values + sign * step)).numbers(names) for step in steps]
+            for sign in (1.0, -1.0)
+        ]
+        slopes = (np.array(ends[0]) - np.array(ends[1])) / (2.0 * np.diag(steps)[:, None])
+        return np.asarray(np.sqrt(np.einsum("ij,ik,kj->j", slopes, fit.covariance, slopes)))
 
     def save(self, directory: Path | str) -> Path:
         """Write the firmware's file with the new numbers, a summary and the robot to a folder, and return the folder.
@@ -187,8 +217,8 @@ def calibrate_printer(
 
     Raises:
         MeasurementError: the file has no delta printer, or no touches, or takes no bed mesh.
-        CalibrationRefusedError: too few touches or in too small a part of the bed, or neither the result nor a mesh
-            would be clearly better.
+        CalibrationRefusedError: too few touches or in too small a part of the bed, no printer near the file's numbers
+            fits them, or neither the result nor a mesh would be clearly better.
     """
     file = read_firmware(Path(path), read_text(Path(path)))
     if bed_mesh and not file.takes_mesh:
@@ -211,8 +241,7 @@ def calibrate_printer(
     possible = [choice for choice in choices if choice.count in fits and choice.count not in implausible]
     best = min(possible, key=lambda choice: choice.mean_square, default=None)
     if best is None or not np.isfinite(best.mean_square):
-        cause = "no printer near these numbers fits the touches: numbers, sizes of steps or touches are wrong"
-        raise CalibrationRefusedError([cause])
+        raise CalibrationRefusedError([f"no printer near these numbers fits the touches: {_WRONG}"])
     limit = best.mean_square + float(np.std(best.held_out**2) / np.sqrt(len(touches)))
     chosen = next(choice for choice in possible if choice.mean_square <= limit)
     found = fits[chosen.count]
@@ -233,15 +262,20 @@ def calibrate_printer(
     if bed_mesh:
         places = _places(touches.travels, found.errors.apply(found.values))
         result = replace(result, mesh=BedMesh.fitted(places, -result.heights_after, -chosen.left_over, chosen.folds))
-    if on_refusal == "raise" and not are_clearly_smaller(result.held_out, result.heights_before):
-        raise CalibrationRefusedError([_refusal(result)])
-    if on_refusal == "raise" and (unseen := fits[min(fits)].identifiability.unidentified):
-        raise CalibrationRefusedError([f"the touches do not determine {unseen[0]}: touch a wider part of the bed"])
+    if on_refusal == "raise" and (reason := _refusal(result, fits[min(fits)])):
+        raise CalibrationRefusedError([reason])
     return result
 
 
-def _refusal(result: PrinterCalibration) -> str:
-    """Say why a calibration is not clearly better than the printer's own numbers."""
+def _refusal(result: PrinterCalibration, smallest: Identification) -> str:
+    """Say why a calibration is not to be taken: it is wrong, or not clearly better than the old numbers; "" if it is.
+
+    Args:
+        result: the calibration.
+        smallest: the fit of the smallest set of parameters.
+    """
+    if are_clearly_smaller(result.held_out, result.heights_before):
+        return _misfit(result) or _undetermined(smallest)
     own, new = (1e6 * _rms(values) for values in (result.heights_before, result.held_out))
     text = f"touches held out would be off by {new:.0f} µm, and with the printer's own numbers by {own:.0f} µm: "
     sizes = np.abs(result.heights_before)
@@ -251,7 +285,31 @@ def _refusal(result: PrinterCalibration) -> str:
             f"with these, touch {worst}, counted from 0, is off by {1e3 * sizes[worst]:.3g} mm, and half of the "
             f"touches by at most {1e3 * usual:.2g} mm; it may be wrong"
         )
-    return text + "it is calibrated as well as these touches tell"
+    return _misfit(result) or text + "it is calibrated as well as these touches tell"
+
+
+def _misfit(result: PrinterCalibration) -> str:
+    """Say in how far no printer near the file's numbers fits the touches; "" if one does."""
+    found, rms = result.identification, _rms(result.heights_after)
+    if found.noise_factor > _UNEVEN:
+        return f"no printer near these numbers fits the touches, which it leaves off by {1e3 * rms:.2g} mm: {_WRONG}"
+    far = np.abs(found.values) / found.errors.tolerances
+    if far.max() <= _IMPOSSIBLE:
+        return ""
+    name = found.errors.names[int(np.argmax(far))]
+    change = result.changes[name]
+    unit, scale = ("mm", 1e3) if change["unit"] == "m" else ("degrees", np.degrees(1.0))
+    return f"{name} would change by {scale * change['value']:+.3g} {unit}, more than any printer is off: {_WRONG}"
+
+
+def _undetermined(fit: Identification) -> str:
+    """Say what the touches do not determine, and why; "" if nothing."""
+    if not (unseen := fit.identifiability.unidentified):
+        return ""
+    text = f"the touches do not determine {unseen[0]}: "
+    if Identifiability.from_regressor(fit.errors.names, fit.rows[:, :, : len(fit.errors)]).unidentified:
+        return text + "touch a wider part of the bed"
+    return text + f"they scatter by {fit.noise_factor:.1f} times the noise of a probe about any printer"
 
 
 def _errors(printer: DeltaPrinter, count: int) -> GeometricErrors:

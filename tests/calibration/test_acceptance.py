@@ -23,6 +23,7 @@ from pm3dof_pin.calibration.acceptance import (
 )
 from pm3dof_pin.calibration.certificate import SCHEMA, Certificate
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError
+from pm3dof_pin.measuring.export_file import ColumnMap
 from pm3dof_pin.measuring.measurement_file import read_plan
 
 MICROMETRE = 1e-6
@@ -47,6 +48,41 @@ def test_positioning(tmp_path: Path) -> None:
     s = np.sqrt(2.0)
     expected = {"A": 11.0 + 4.0 * s, "E": 11.0, "M": 8.0, "R": 4.0 * s + 3.0, "B": 3.0}
     assert found == pytest.approx({name: value * MICROMETRE for name, value in expected.items()})
+
+
+@pytest.mark.parametrize(
+    "headings",
+    ["target [mm],direction,deviation [um]", "Target mm,Direction,Deviation µm", "TARGET (mm);Direction;deviation_um"],
+)
+def test_headings_are_read_as_they_come(headings: str, tmp_path: Path) -> None:
+    path = _positions(tmp_path / "line.csv")
+    rows = path.read_text().splitlines()[1:]
+    separator = ";" if ";" in headings else ","
+    path.write_text("\n".join([headings, *(row.replace(",", separator) for row in rows)]), encoding="utf-8")
+    found = evaluate_acceptance("positioning", path).values
+    assert found["E"] == pytest.approx(11.0 * MICROMETRE)
+    assert found["B"] == pytest.approx(3.0 * MICROMETRE)
+
+
+def test_headings_of_a_circle_are_read_as_they_come(tmp_path: Path) -> None:
+    """Radii of 100 mm but for one angle, 8 um longer, which hardly moves the centre of 36 angles."""
+    rows = [f"{10 * k},1,{100.008 if k == 4 else 100.0}" for k in range(36)]
+    path = tmp_path / "circle.csv"
+    path.write_text("\n".join(["angle [deg],direction,Radius [mm]", *rows]))
+    assert evaluate_acceptance("circular", path).values["G_ccw"] == pytest.approx(8.0 * MICROMETRE, rel=0.15)
+    path.write_text("\n".join(["Angle,direction,radius_mm", *rows]))
+    with pytest.raises(MeasurementError, match=r"Angle without a unit: expected headings such as Angle \[deg\]"):
+        evaluate_acceptance("circular", path)
+    given = ColumnMap({"Angle": "angle_deg"})
+    assert evaluate_acceptance("circular", path, columns=given).values["G_ccw"] < 9.0 * MICROMETRE
+
+
+@pytest.mark.parametrize("heading", ["target", "Target"])
+def test_a_length_without_a_unit_is_refused(heading: str, tmp_path: Path) -> None:
+    path = _positions(tmp_path / "line.csv")
+    path.write_text(path.read_text().replace("target_mm", heading))
+    with pytest.raises(MeasurementError, match=rf"line 1: {heading} without a unit: .* {heading} \[mm\]"):
+        evaluate_acceptance("positioning", path)
 
 
 def test_diagonals_are_judged_by_the_worst(tmp_path: Path) -> None:
@@ -213,6 +249,29 @@ def test_a_report_to_sign(calibration_folder: Path, tmp_path: Path, run: Callabl
     assert "DKD-1 &lt;2025&gt;" in page
     assert "Not claimed" in page
     assert any("Other temperatures" in text for text in data["not_claimed"])
+
+
+@pytest.mark.parametrize(
+    ("rule", "factor", "decision"),
+    [
+        ("guarded", 1.01, "conforms"),
+        ("guarded", 0.99, "undecided"),
+        ("simple", 1.01, "conforms"),
+        ("simple", 0.99, "does not conform"),
+    ],
+)
+def test_a_bound_has_no_uncertainty_beside_it(
+    rule: str, factor: float, decision: str, calibration_folder: Path, tmp_path: Path
+) -> None:
+    bound = yaml.safe_load((calibration_folder / "calibration.yaml").read_text())["tip_error_95_percent_bound_m"]
+    about = tmp_path / "about.yaml"
+    about.write_text(
+        yaml.safe_dump(ABOUT | {"limits_m": {"tip.bound_95": factor * bound}, "decision_rule": rule}), encoding="utf-8"
+    )
+    found = Certificate.make(calibration_folder, about)
+    stated = next(each for each in found.data["statements"] if each["symbol"] == "tip.bound_95")
+    assert (stated["expanded_uncertainty_k2_m"], stated["decision"]) == (None, decision)
+    assert "<td>included</td>" in found.as_html()
 
 
 @pytest.mark.parametrize(

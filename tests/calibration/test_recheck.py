@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.recheck import add_to_history, read_history, recheck
+from pm3dof_pin.calibration.recheck import Verdict, add_to_history, read_history, recheck
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.measuring.measurement_file import write_measurements
 
@@ -41,6 +41,17 @@ def test_an_unchanged_machine_is_called_so(case: Case) -> None:
     assert found.contradiction > 0.01
     assert found.off_if_kept < 5e-6
     assert sum(found.probabilities.values()) == pytest.approx(1.0)
+
+
+def test_a_risk_is_never_negative(case: Case) -> None:
+    machine, calibration, commands, generator = case
+    seen = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+    found = recheck(calibration.compensation, seen)
+    rounded: dict[Verdict, float] = {"unchanged": 1.0 + 2.0**-52, "re-zero": 1e-20, "recalibrate": 0.0}
+    assert replace(found, verdict="unchanged", probabilities=rounded).risk == 1e-20
+    for size in (1e-3, 3e-3):  # beyond any doubt
+        off = pm.Measurements.from_poses(commands, machine.measure(commands + size, generator))
+        assert all(0.0 <= value <= 1.0 for value in recheck(calibration.compensation, off).probabilities.values())
 
 
 def test_a_temperature_that_was_not_learned_changes_nothing(case: Case) -> None:

@@ -16,6 +16,7 @@ import scipy.optimize
 import pm3dof_pin as pm
 from pm3dof_pin.exceptions import CalibrationRefusedError, MeasurementError, OutputError, PM3DofError
 from pm3dof_pin.printers.firmware import is_of_firmware, read_firmware
+from pm3dof_pin.printers.m665 import GCodeLog
 from pm3dof_pin.printers.printer_calibration import calibrate_printer
 
 BASE = np.radians([210.0, 330.0, 90.0])
@@ -154,6 +155,34 @@ def test_as_good_as_a_textbook_fit(travels: np.ndarray, tmp_path: Path) -> None:
     assert any("arm_a" in words for words in found.undetermined)
 
 
+def test_standard_deviations_of_the_numbers(tmp_path: Path) -> None:
+    """Against the covariance of a linear fit of all nine numbers, each known beforehand as well as by a ruler."""
+    truth = replace(TRUTH, arms=(270.6, 270.4, 270.5))
+    rows = touched(truth, Delta(), points(), np.random.default_rng(8))
+    (tmp_path / "printer.cfg").write_text(klipper(Delta(), rows))
+    found = calibrate_printer(tmp_path / "printer.cfg")
+
+    def heights(x: np.ndarray) -> np.ndarray:
+        printer = Delta(
+            130.0 + x[0], tuple(BASE + np.array([*x[1:3], 0.0])), tuple(270.0 + x[3:6]), tuple(245.0 + x[6:])
+        )
+        return np.array([printer.nozzle(row)[2] for row in rows])
+
+    slopes = np.array([(heights(step) - heights(-step)) / 2e-4 for step in 1e-4 * np.eye(9)])
+    ruler = np.array([3.0, 0.02, 0.02, 1.0, 1.0, 1.0, 5.0, 5.0, 5.0])
+    sigmas = np.sqrt(np.diag(np.linalg.inv(slopes @ slopes.T / 0.025**2 + np.diag(ruler**-2.0))))
+    places = {"radius": 0, "angle_a": 1, "angle_b": 2, "end_stop_a": 6, "end_stop_b": 7, "end_stop_c": 8}
+    off = [truth.radius - 130.0, *(np.array(truth.angles) - BASE)[:2], *np.zeros(3), *(np.array(truth.stops) - 245.0)]
+    assert found.chosen.count == 6
+    for name, change in found.summary()["changes"].items():
+        scale = 1.0 if change["unit"] == "rad" else 1e3
+        assert scale * change["sigma"] == pytest.approx(sigmas[places[name]], rel=0.1), name
+        assert abs(scale * change["value"] - off[places[name]]) < 3.0 * scale * change["sigma"], name
+    stop = found.summary()["changes"]["end_stop_a"]
+    assert stop["value"] == pytest.approx(found.after.end_stops[0] - 0.245)
+    assert stop["sigma_of_the_data"] < 0.5 * stop["sigma"]
+
+
 def test_distances_determine_the_arms(tmp_path: Path) -> None:
     truth, noise = replace(TRUTH, arms=(270.8, 270.8, 270.8)), np.random.default_rng(2)
     rows, lines = touched(truth, Delta(), points(), noise), []
@@ -215,6 +244,25 @@ def test_included_files_are_read_and_stay_as_they_are(travels: np.ndarray, tmp_p
     found = calibrate_printer(path)
     with pytest.raises(MeasurementError, match=r"delta_radius stands in motors\.cfg"):
         found.save(tmp_path / "out")
+
+
+def test_the_section_of_the_printer_may_be_included(travels: np.ndarray, tmp_path: Path) -> None:
+    """Written numbers are saved in the file itself, where they hold as long as no file that is included has them."""
+    path, own = tmp_path / "printer.cfg", "[printer]\nkinematics: delta\ndelta_radius: 130.0\n"
+    included = klipper(Delta(), travels).replace(own, "[include kin*.cfg]\n")
+    file = read_firmware(path, included)
+    with pytest.raises(MeasurementError, match=r"\[printer\] kinematics is missing; it includes kin\*\.cfg, not found"):
+        file.printer()
+    (tmp_path / "kin1.cfg").write_text("[printer]\nkinematics: delta\n")
+    saved = included + "#*# [printer]\n#*# delta_radius = 130.0\n"
+    file = read_firmware(path, saved)
+    printer = replace(file.printer(), radius=0.1312)
+    assert read_firmware(path, file.with_printer(printer)).printer().radius == pytest.approx(0.1312)
+    (tmp_path / "kin2.cfg").write_text("[printer]\ndelta_radius: 131\n")
+    file = read_firmware(path, saved)
+    assert file.printer().radius == pytest.approx(0.131)  # over the saved one, as in Klipper
+    with pytest.raises(MeasurementError, match=r"delta_radius stands in kin2\.cfg"):
+        file.with_printer(printer)
 
 
 @pytest.mark.parametrize("lost", [r"#\*# height3 = .*\n", r"#\*# height3(_pos)? = .*\n"])
@@ -391,18 +439,18 @@ def test_reports_of_g33(tmp_path: Path) -> None:
 
 
 def test_marlin_1_has_one_arm_length_and_a_radius_of_g33(tmp_path: Path) -> None:
-    """The B of its M665 is no trim of an arm; G33's R makes the circle smaller."""
+    """The B of its M665 is no trim of an arm; its G33 has no R."""
     believed = Delta(130.0, tuple(BASE), (270.0,) * 3, stops=(245.0, 245.0, 245.0))
     settings = (
         ".Height:245.00  Ex: 0.00  Ey: 0.00  Ez: 0.00  Radius:130.00\n.Tower angle :    Tx: 0.00  Ty: 0.00  Tz: 0.00"
     )
     text = "M665 L270.00 R130.00 H245.00 S100.00 B90.00 X0.00 Y0.00 Z0.00\nM666 X0.00 Y0.00 Z0.00\n>>> G33 P3 V0 R10\n"
-    file = read_firmware(tmp_path / "marlin.log", text + g33(believed, settings, 80.0))
+    file = read_firmware(tmp_path / "marlin.log", text + g33(believed, settings, 90.0))
     assert file.most_parameters == 7
     printer = file.printer()
     np.testing.assert_allclose(printer.arms, 0.27)
     assert np.abs(file.touches(printer).travels - printer.drives(np.zeros((7, 3)))).max() > 0.0
-    x, y = 80.0 * np.cos(np.radians(210.0)), 80.0 * np.sin(np.radians(210.0))
+    x, y = 90.0 * np.cos(np.radians(210.0)), 90.0 * np.sin(np.radians(210.0))
     z = scipy.optimize.brentq(lambda z: TRUTH.nozzle(believed.travels(x, y, z))[2], -5.0, 5.0)
     expected = -1e-3 * np.array(believed.travels(x, y, round(z, 2)))
     np.testing.assert_allclose(file.touches(printer).travels[1], expected, atol=1e-9)
@@ -410,6 +458,34 @@ def test_marlin_1_has_one_arm_length_and_a_radius_of_g33(tmp_path: Path) -> None
     assert "B90" in written
     assert " A" not in written
     assert " C" not in written
+
+
+@pytest.mark.parametrize(
+    ("command", "report", "radius", "expected"),
+    [
+        ("G33 P3 V0", "Checking... AC (DRY-RUN)", "B75", 75.0),
+        ("G33 P3 V0 R60", "Checking... AC (DRY-RUN)", "B75", 60.0),
+        ("G33 P3 V0 R60", "Checking... AC (DRY-RUN)", "A0 B0 C0", 60.0),
+        ("g33p3v0r60", "Checking... AC (DRY-RUN)", "", 60.0),
+        ("G33 P3 V0 R60", "Checking... AC at radius:15.00 (DRY-RUN)", "A0 B0 C0", 15.0),
+        ("G33 P3 V0 R60", ".Tower angle :    Tx:+0.00  Ty:+0.00  Tz:+0.00", "B75", 75.0),
+    ],
+)
+def test_the_radius_of_g33(command: str, report: str, radius: str, expected: float, tmp_path: Path) -> None:
+    """Versions of Marlin that print no radius take R for it, those that print it take R off, and old ones have no R."""
+    text = f"M665 L270 R130 H245 {radius}\n{command}\n{report}\n.      c:+0.03     x:+0.32   y:+0.34   z:+0.41\n"
+    probed = GCodeLog.parse(tmp_path / "marlin.log", text).probed
+    assert [np.hypot(x, y) for x, y, _ in probed] == pytest.approx([0.0, expected, expected, expected])
+
+
+def test_circles_of_marlin_1(tmp_path: Path) -> None:
+    """M665 with B alone chooses another circle, and keeps what was probed on the first; other numbers do not."""
+    heights = "G33 P3 V0\n.      c:+0.03     x:+0.32   y:+0.34   z:+0.41\n"
+    text = f"M665 L270 R130 H245 B75\n{heights}M665 B60\n{heights}"
+    probed = GCodeLog.parse(tmp_path / "marlin.log", text).probed
+    assert [np.hypot(x, y) for x, y, _ in probed] == pytest.approx([0.0, 75.0, 75.0, 75.0, 0.0, 60.0, 60.0, 60.0])
+    for other in ("M665 B60 R131", "M665 A0.1 B0 C0"):
+        assert not GCodeLog.parse(tmp_path / "marlin.log", text + other).probed
 
 
 @pytest.mark.parametrize(
@@ -501,6 +577,38 @@ def test_saved_numbers_of_a_duet_override_its_configuration(tmp_path: Path) -> N
     assert m666.endswith("A0 B0 U1.5")
     # the same touches, known to the old printer by its own numbers, are at the bed of the new one
     assert np.abs(found.heights_after).max() < 5e-5 < 2e-4 < np.abs(found.heights_before).max()
+
+
+def test_letters_of_g_code_may_be_small(tmp_path: Path) -> None:
+    (tmp_path / "heightmap.csv").write_text(height_map(TRUTH, BELIEVED))
+    (tmp_path / "config.g").write_text(CONFIG.lower(), newline="")
+    file = read_firmware(tmp_path / "config.g", CONFIG.lower())
+    printer = file.printer()
+    assert printer.radius == pytest.approx(0.13)
+    np.testing.assert_allclose(1e3 * np.array(printer.end_stops), BELIEVED.stops)
+    written = file.with_printer(printer)
+    assert re.fullmatch(r"(.*\r\n){2}M665 L270.0000 R130.*\r\nM666 .*  ; stops\r\nt0\r\n", written)
+    lines = ["M665 L270 R130 H245", "M666 X0 Y0 Z0", "G31 X1 Y2", "G30 P0 X1 Y2 Z-99999", "bed probe heights: 0.5"]
+    logs = [GCodeLog.parse(tmp_path / "log.g", text) for text in ("\n".join(lines), "\n".join(lines).lower())]
+    assert logs[0] == logs[1]
+
+
+def test_points_of_several_calibrations_in_one_log(tmp_path: Path) -> None:
+    """P numbers points, and P0 begins anew: after a calibration, after one that failed, after a first dummy probe."""
+    settings, places = "M665 L270 R130 H245", ((0.0, 0.0), (50.0, 0.0), (0.0, 50.0))
+    calls = [f"G30 P{k} X{x} Y{y} Z-99999" for k, (x, y) in enumerate(places)]
+    one, two = "G32 bed probe heights: 9 9 9, mean 9", "G32 bed probe heights: 0.1 0.2 0.3, mean 0.2"
+    expected = tuple((x, y, height) for (x, y), height in zip(places, (0.1, 0.2, 0.3), strict=True))
+    for lines in (
+        [settings, *calls, one, settings, *calls, two],
+        [settings, *calls, "G30 P3 X9 Y9 Z-99999", "bed probe heights: 9 9 9 9", settings, *calls, two],
+        [settings, *calls[:2], "Error: probe not triggered", *calls, two],
+        [settings, "G30 P0 X7 Y7 Z-99999", *calls, two],
+        [*calls, settings, two],
+    ):
+        assert GCodeLog.parse(tmp_path / "log.g", "\n".join(lines)).probed == expected
+    again = "\n".join([settings, *calls, two, *calls, two])
+    assert GCodeLog.parse(tmp_path / "log.g", again).probed == 2 * expected
 
 
 def test_arms_that_a_ruler_would_show_wrong_are_not_taken(tmp_path: Path) -> None:
@@ -643,6 +751,16 @@ def test_the_command(travels: np.ndarray, run: Callable[..., Any], tmp_path: Pat
     assert answer.returncode == 0, answer.stderr
     assert "19 touches" in answer.stdout
     assert "not determined by these touches" in answer.stdout
+    assert "heights tell it hardly, so measure a print" in answer.stdout
+    assert "sigma of the touches alone  sigma with what they cannot tell" in answer.stdout
+    ends = [Delta().travels(x, 0.0) for x in (-90.0, 90.0)]
+    distance = [f"#*# distance0 = {float(np.linalg.norm(TRUTH.nozzle(ends[1]) - TRUTH.nozzle(ends[0]))):.4f}"]
+    for k, end in enumerate(ends, start=1):
+        distance.append(f"#*# distance0_pos{k} = {','.join(f'{value:.3f}' for value in end / MICROSTEP)}")
+    (tmp_path / "measured.cfg").write_text(klipper(Delta(), travels, "\n".join(distance)))
+    measured = run("calibrate", "measured.cfg", "--out", "measured", cwd=tmp_path).stdout
+    assert "19 touches and 1 distances" in measured
+    assert "measure a print" not in measured
     assert (tmp_path / "out" / "printer.cfg").is_file()
     assert run("calibrate", "printer.cfg", "--out", ".", cwd=tmp_path).returncode == 1
 
@@ -659,6 +777,8 @@ DAMAGES = (
     ("height4 = 0.0", "nothing = 0.0", "height4 is missing"),
     ("[printer]", "[machine]", "no delta printer"),
     ("rotation_distance: 40", "rotation_distance: 400", "no printer near these numbers"),
+    ("[stepper_b]\nmicrosteps: 16", "[stepper_b]\nmicrosteps: 32", "no printer near .*sizes of steps"),
+    ("rotation_distance: 40", "rotation_distance: 32", "end_stop_. would change by .*sizes of steps"),
 )
 
 
