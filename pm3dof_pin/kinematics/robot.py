@@ -31,7 +31,7 @@ from pm3dof_pin.exceptions import (
     UnreachablePoseError,
 )
 from pm3dof_pin.kinematics.assembly import assemble
-from pm3dof_pin.kinematics.branches import not_closed, start_of
+from pm3dof_pin.kinematics.branches import branches_of, not_closed, start_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.kinematics.pose_search import Solution, Solver, find_poses
@@ -488,8 +488,15 @@ class Robot(PlacedMechanism):
         result = assemble_at(self, coordinates, target, start)
         pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, target, strict=True))
         reason = f"residual {result.residual:.3e} m or rad"
-        if result.converged and self.has_branches:
-            reason = self._reference(coordinates).obstacle(start, target)
+        placed = {c.tool for c in coordinates if c.tool is not None}
+        if not placed >= {"rx", "rz"} and any(
+            c.tool == "ry" and np.cos(v) < 0.0 for c, v in zip(coordinates, target, strict=True)
+        ):
+            reason = "ry alone is told within -90 .. 90 deg only; a joint's angle as coordinate has no such bounds"
+        elif result.converged and self.has_branches:
+            reason = "the drives leave joints free, and no way leads there with these at rest; another guess may"
+            if branches_of(self.prototype).conditions:
+                reason = self._reference(coordinates).obstacle(start, target)
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
         return UnreachablePoseError(message, result.residual, reason)
 

@@ -277,11 +277,12 @@ def _target_rotation(targets: Mapping[str, Scalar]) -> Objects:
 
 
 def _angle_equation(tool: Transform, component: str, targets: Mapping[str, Scalar]) -> tuple[Scalar, Objects, Scalar]:
-    """Return the error of one angle, its derivative by angular velocity, and 1 if the angle is over 90 degrees off."""
+    """Return the error of one angle, its derivative by angular velocity, and 1 if it is over 90 degrees off, or ry is."""
     R = tool.rotation
     c, s = cos(targets[component]), sin(targets[component])
     if component == "ry":  # R02 = sin(ry)
-        return R[0, 2] - s, cross(R[:, 2], objects([1.0, 0.0, 0.0])), 0.0
+        # the mirrored angle beyond 90 degrees has the same sine
+        return R[0, 2] - s, cross(R[:, 2], objects([1.0, 0.0, 0.0])), select(less(c, 0.0), 1.0, 0.0)
     if component == "rx":  # R12 = -sin(rx) cos(ry), R22 = cos(rx) cos(ry)
         row, near = -(c * R[1, 2] + s * R[2, 2]), c * R[2, 2] - s * R[1, 2]
         return row, cross(R[:, 2], objects([0.0, -c, -s])), select(less(near, 0.0), 1.0, 0.0)
