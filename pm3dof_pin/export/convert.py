@@ -216,6 +216,12 @@ def _loops_beside(
     loops = {key: entries[key] for key in _LOOPS if key in entries}
     loops["closed_loop"] = [[frames[name] for name in pair] for pair in entries["closed_loop"]]
     helpers = [name for name in there if name not in moving]  # chains that stand for closures
+    model = again.model
+    carriers = {
+        model.names[k] for name in ends for k in model.supports[model.frames[again.frame_id(frames[name])].parentJoint]
+    }
+    if carriers & {*helpers}:  # the loop is cut elsewhere: its end would be fixed to the other one
+        return {}
     return {"replaces_loops": True, **loops, "joint_name": helpers, "joint_type": ["FIXED"] * len(helpers)}
 
 

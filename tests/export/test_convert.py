@@ -201,3 +201,38 @@ def test_joints_may_have_the_names_of_links_and_springs(tmp_path: Path, dialect:
         if shutil.which("ign"):
             done = subprocess.run(["ign", "sdf", "--check", target], capture_output=True, text=True, check=False)
             assert "Valid" in done.stdout, done.stdout + done.stderr
+
+
+def test_a_hinge_on_the_base_stays_one_in_sdf(tmp_path: Path) -> None:
+    """SDF says it as a joint between the links, on which the chain then ends: the loop is cut elsewhere."""
+    links = "".join(
+        f'<link name="{name}"><inertial><mass value="1"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" '
+        'iyz="0"/></inertial></link>'
+        for name in ("base", "crank", "coupler", "rocker", "pin", "bearing")
+    )
+    places = [("base", "crank", 0.0), ("crank", "coupler", 0.1), ("coupler", "rocker", 0.4)]
+    joints = "".join(
+        f'<joint name="to_{child}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{x} 0 0"/><axis xyz="0 0 1"/><limit lower="-6" upper="6" effort="1" velocity="1"/></joint>'
+        for parent, child, x in places
+    )
+    ends = "".join(
+        f'<joint name="at_{name}" type="fixed"><parent link="{parent}"/><child link="{name}"/>'
+        f'<origin xyz="{x} 0 0"/></joint>'
+        for name, parent, x in (("pin", "rocker", 0.3), ("bearing", "base", 0.35))
+    )
+    (tmp_path / "fourbar.urdf").write_text(f'<robot name="fourbar">{links}{joints}{ends}</robot>')
+    (tmp_path / "fourbar.closures.yaml").write_text(
+        "closed_loop: [[pin, bearing]]\ntype: [hinge]\nname_mot: [to_crank]\ntool_frame: coupler\n"
+    )
+    angles = Robot.load(tmp_path / "fourbar.urdf").assemble([0.9, -0.9, -1.7], joints={"to_crank": 0.9}).q
+    (tmp_path / "fourbar.srdf").write_text(
+        '<robot name="fourbar"><group_state name="home" group="all">'
+        + "".join(f'<joint name="to_{places[k][1]}" value="{angles[k]:.17g}"/>' for k in range(3))
+        + "</group_state></robot>"
+    )
+    (tmp_path / "there").mkdir()
+    convert_robot(tmp_path / "fourbar.urdf", tmp_path / "there" / "fourbar.sdf")
+    robot, again = (Robot.load(path) for path in (tmp_path / "fourbar.urdf", tmp_path / "there" / "fourbar.sdf"))
+    commands = np.linspace(0.6, 1.3, 5)[:, None]
+    np.testing.assert_allclose(again.forward(commands).transforms, robot.forward(commands).transforms, atol=1e-9)
