@@ -99,6 +99,11 @@ class Compensation:
         return stiffened(robot, factors) if factors else robot
 
     @property
+    def weights(self) -> Array:
+        """The weights of the tip error, 0 for what is not a motion of the tool, shape=(6,)."""
+        return tip_weights(self.eta, self.errors.robot.tool_motions)
+
+    @property
     def known_covariance(self) -> Array | None:
         """The covariance without infinite variances: undetermined parameters do not move the tool visibly."""
         if self.covariance is None:
@@ -205,7 +210,9 @@ class Compensation:
         transforms = transforms[None] if transforms.ndim == 2 else transforms
         nominal = self.errors.robot.reach(transforms, on_failure=on_failure)
         solved = np.flatnonzero(nominal.solved)
-        missed = tip_error(pose_difference(transforms[solved], nominal.transforms[solved]), self.eta)
+        missed = tip_error(
+            pose_difference(transforms[solved], nominal.transforms[solved]), self.eta, nominal.robot.tool_motions
+        )
         if np.any(missed > _MEETS):
             raise UnreachablePoseError(f"{self.errors.robot.name} misses a desired pose by {missed.max():.3g} m")
         return nominal
@@ -338,7 +345,7 @@ class Compensation:
         """Return mean and covariance of the tip-weighted error with corrected commands, (n, 6) and (n, 6, 6)."""
         reached = self._deflected(nearest, conditions)
         wanted = self.session.before_drift(nominal.transforms, conditions, nominal)
-        left = pose_difference(wanted, reached.transforms) * tip_weights(self.eta)
+        left = pose_difference(wanted, reached.transforms) * self.weights
         control = weighted_control(nearest, self.eta)
         drift = self.session.common_effects(conditions, nearest, self.eta)
         spread = self.covariances(nearest, conditions) + self.scatter.covariances(control)
@@ -352,7 +359,7 @@ class Compensation:
             effects = sensitivities(self.errors, poses, self.values).errors
             if self.covariance is not None and len(self.covariance) > len(self.errors):
                 effects = np.concatenate([effects, datum_motions(poses)], axis=2)
-            latest = poses, frozen(effects * tip_weights(self.eta)[:, None])
+            latest = poses, frozen(effects * self.weights[:, None])
             vars(self)["_latest"] = latest
         return np.asarray(latest[1])
 
@@ -387,7 +394,7 @@ class Compensation:
 
     def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
         """Return the covariance of predicted poses, without the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""
-        weights, given = tip_weights(self.eta), conditions or {}
+        weights, given = self.weights, conditions or {}
         total = np.zeros((len(poses), 6, 6))
         if self.values is not None and self.known_covariance is not None:
             effects = self.effects(poses)

@@ -20,7 +20,7 @@ from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
 from pm3dof_pin.calibration.scatter import COVERAGE
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
-from pm3dof_pin.errors.pose_error import pose_difference, tip_weights
+from pm3dof_pin.errors.pose_error import pose_difference
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -92,7 +92,7 @@ class Systematic:
     def all_from_fit(cls, calibration: Fit) -> list[Systematic]:
         """Return the effects found from times and directions of approach; none without such data."""
         found = calibration.identification
-        drives, weights = tool_motions_by_drives(found.poses), tip_weights(calibration.options.eta)
+        drives, weights = tool_motions_by_drives(found.poses), calibration.compensation.weights
         answers = []
         for kind in ("drift", "hysteresis"):
             columns = found.nuisances.columns(kind)
@@ -261,7 +261,7 @@ def _uncertainty_budget(calibration: Fit, poses: Poses, repeated: Repeatability 
     squares sum up to the square of the expected tip error.
     """
     compensation, found = calibration.compensation, calibration.identification
-    weights = tip_weights(compensation.eta)
+    weights = compensation.weights
     conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
     model = compensation.model_poses(poses)
     parts = dict.fromkeys(("floor", "instrument", "frame", "targets", "parameters", "learned"), 0.0)

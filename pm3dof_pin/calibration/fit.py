@@ -171,15 +171,16 @@ def _scatter(compensation: Compensation, shown: Measurements, identification: Id
     nominal = compensation.errors.robot.forward(visits.commands)
     model = compensation.model_poses(nominal)
     found, control = pseudo_errors(shown, model, compensation.eta), weighted_control(model, compensation.eta)
-    units = [command.unit for command in nominal.robot.commands]
+    units, counted = [command.unit for command in nominal.robot.commands], compensation.weights > 0.0
     if compensation.learned is not None:
         across = found.seen.shown - found.control @ control_inverse(found.control)
         covariances = across @ found.seen.covariances @ np.swapaxes(across, 1, 2)
-        return Scatter.from_errors(found.left, covariances, across, np.zeros_like(control), units)
+        return Scatter.from_errors(found.left, covariances, across, np.zeros_like(control), units, counted=counted)
     used = float(len(identification.errors)) if compensation.values is not None else 0.0
     freedom = max(0.2, 1.0 - used / max(1.0, float(np.einsum("nii->", found.seen.shown))))
     seen = found.at_commands
-    return Scatter.from_errors(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control, units)
+    errors = seen.errors / np.sqrt(freedom)
+    return Scatter.from_errors(errors, seen.covariances, seen.shown, control, units, counted=counted)
 
 
 def compensation_from(

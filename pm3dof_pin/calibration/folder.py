@@ -33,7 +33,7 @@ from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.calibration.session_effects import SessionEffects
 from pm3dof_pin.description.yaml_file import read_mapping, yaml_text
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import quaternion
+from pm3dof_pin.errors.pose_error import quaternion, tip_weights
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_bytes, read_text, replace_directory, write_text_atomically
 from pm3dof_pin.measuring.measurement_file import write_measurements
@@ -277,13 +277,15 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
     size = float(data["unexplained_m"])
     everywhere = np.broadcast_to(np.array(data.get("scatter_everywhere_m2", size**2 / 6.0), dtype=float), 2)
     drives = np.array(data.get("scatter_of_drives", []), dtype=float)
+    eta = float(data["eta_m_per_rad"])
+    counted = np.sign(tip_weights(eta, errors.robot.tool_motions))
     return Compensation(
         errors,
         None if data["values"] is None else errors.values(data["values"]),
         None if data["covariance"] is None else np.array(data["covariance"], dtype=float),
         learned,
-        float(data["eta_m_per_rad"]),
-        Scatter(everywhere, drives, size, tails=float(data.get("scatter_tails", 1.0))),
+        eta,
+        Scatter(everywhere, drives, size, counted=counted, tails=float(data.get("scatter_tails", 1.0))),
         {name: (float(factor), float(sigma)) for name, (factor, sigma) in data.get("stiffness", {}).items()},
         _session(data.get("session", {})),
     )

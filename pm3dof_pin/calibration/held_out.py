@@ -41,6 +41,7 @@ class HeldOut:
         after: tip error with the corrected commands, the measurements' noise included, shape=(visits,) [m].
         floor: tip error with the best commands, the measurements' noise included, shape=(visits,) [m].
         noise: tip error due to the measurements' noise, root mean square, shape=(visits,) [m].
+        chance: standard deviation, from the measurements' noise, of the mean of after^2 - before^2 [m^2].
         excess: expected difference between the corrected commands and the best ones, root mean square over the
             drives' joints, shape=(visits,) [m, rad]: from the uncertainty of parameters and learned parts, seen or not,
             and from the further scatter. Observing it would add more noise than there is excess. NaN for a method
@@ -60,6 +61,7 @@ class HeldOut:
     after: Array
     floor: Array
     noise: Array
+    chance: float
     excess: Array
     excess_interval: tuple[float, float] | None
     scatter: Scatter
@@ -107,7 +109,8 @@ class HeldOut:
         units = [command.unit for command in errors.robot.commands]
         scores = _Scores.joined(parts)[np.argsort(np.concatenate(starts))].with_visible_tool()
         seen = (scores.missed, scores.covariances, scores.shown, scores.control, units)
-        scatter, sure = Scatter.from_errors(*seen), Scatter.from_errors(*seen, least=1.0)
+        counted = calibration.compensation.weights > 0.0
+        scatter, sure = (Scatter.from_errors(*seen, counted=counted, least=least) for least in (0.0, 1.0))
         judged = _Scores.joined([scores, *_outlying(calibration)])
         scatter = scatter.with_tails(judged.missed, judged.covariances, judged.shown, judged.control)
         return replace(
@@ -173,7 +176,7 @@ class _Scores:
 
     Attributes:
         found: tip-weighted errors before, after and with the best commands, shape=(visits, 3, 6) [m].
-        noise: tip error due to the measurements' noise, shape=(visits,) [m].
+        noise: covariance of these errors, from the measurements' noise, shape=(visits, 6, 6) [m^2].
         moved: the same by motions of base and tool, shape=(visits, 6, 12).
         missed: errors of the predicted poses, tip-weighted, shape=(visits, 6) [m].
         covariances: their known covariance, shape=(visits, 6, 6) [m^2].
@@ -232,8 +235,7 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
         kept = np.where(reached.solved[:, None], predicted, 0.0)
         reached = compensation.errors.robot.forward(nominal.commands + kept, guess=nominal.q)
     errors = np.stack([true.before, seen_errors(measurements, reached, eta).errors, best], axis=1)
-    noise = np.sqrt(np.einsum("nii->n", true.seen.covariances))
-    moved = datum_motions(nominal) * tip_weights(eta)[:, None]
+    moved = datum_motions(nominal) * tip_weights(eta, nominal.robot.tool_motions)[:, None]
     model = compensation.poses(nominal, visits.conditions)
     left = seen_errors(measurements, model, eta)
     uncertain = compensation.covariances(model, visits.conditions)
@@ -244,7 +246,7 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
     if compensation.values is None:
         blind = np.linalg.matrix_rank(control_inverse(true.control)) < control.shape[2]
         of_all[blind] = np.nan
-    return _Scores(errors, noise, moved, left.errors, known, left.shown, control, of_all, effects)
+    return _Scores(errors, true.seen.covariances, moved, left.errors, known, left.shown, control, of_all, effects)
 
 
 def _outlying(calibration: Fit) -> list[_Scores]:
@@ -270,7 +272,9 @@ def _together(calibration: Fit, rows: Indices, scores: _Scores, scatter: Scatter
     excess = np.sqrt(np.einsum("nij,njk,nik->n", gains, scores.uncertain + left, gains) / gains.shape[1])
     within = float(np.mean(scores.within(scatter)))
     interval = sure.excess_interval(scores.effects, scores.control) if calibration.scatters else None
-    return HeldOut(rows, before, after, floor, scores.noise, excess, interval, scatter, within, energies)
+    noise, change = np.sqrt(np.einsum("nii->n", scores.noise)), errors[1] - errors[0]
+    chance = 2.0 * float(np.sqrt(np.einsum("ni,nij,nj->", change, scores.noise, change))) / len(before)
+    return HeldOut(rows, before, after, floor, noise, chance, excess, interval, scatter, within, energies)
 
 
 def _registered(scores: _Scores, found: Identification) -> Array:

@@ -37,6 +37,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.instruments.table import placed_instrument
+from pm3dof_pin.measuring.measurement_file import TARGET_POINT_SIGMA
 from pm3dof_pin.measuring.observation import planned_measurements, touching_poses
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.tolerances import SAME
@@ -131,6 +132,7 @@ def plan_measurements(
     known_centres: bool = False,
     joints: tuple[str, ...] = (),
     length: float | None = None,
+    target_sigma: float = TARGET_POINT_SIGMA,
     method: Method = "lm",
     strategy: Strategy | None = None,
     accuracy: float | None = None,
@@ -164,6 +166,7 @@ def plan_measurements(
         known_centres: for names: whether the centres were measured beforehand; otherwise they are estimated.
         joints: for names: passive joints that are locked.
         length: for names: length of a ballbar [m].
+        target_sigma: for names: standard deviation of the target's coordinates on the tool [m]; 0 if known exactly.
         method: calibration method, which determines the strategy.
         strategy: another strategy.
         accuracy: instead of a number of poses: the excess tip error over the best commands to reach, rms [m].
@@ -201,6 +204,7 @@ def plan_measurements(
             length=length,
             known_centres=known_centres,
             joints=joints,
+            target_sigma=target_sigma,
         )
     choices = touching_poses(drawn, instrument)
     choices = _declared(choices) if among is None else choices

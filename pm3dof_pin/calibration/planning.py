@@ -39,7 +39,7 @@ from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing
 from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
@@ -99,7 +99,7 @@ class _PlannedPoses:
     @classmethod
     def under(cls, sensitivity_map: ErrorMap, wrenches: Array | None) -> _PlannedPoses:
         """Pair poses with wrenches on the tool, shape=(m, 6), cycling through the wrenches if m differs."""
-        poses, weights = sensitivity_map.poses, tip_weights(sensitivity_map.eta)[:, None]
+        poses, weights = sensitivity_map.poses, sensitivity_map.weights[:, None]
         robot, errors = poses.robot, sensitivity_map.errors
         own = None if wrenches is None else np.resize(wrenches, (len(poses), 6))
         elastic = ElasticTerm.under(robot, own)
@@ -182,7 +182,7 @@ class PlanningProblem:
         self.measured, self.tested = (_PlannedPoses.under(each, wrenches) for each in (candidate_map, tests))
         # base and tool are as the measurements define them
         datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
-        effects = np.concatenate([self.tested.effects, datum * tip_weights(eta)[:, None]], axis=2)
+        effects = np.concatenate([self.tested.effects, datum * tests.weights[:, None]], axis=2)
         effects = effects.reshape(-1, self._rows.shape[2]) / np.sqrt(len(tests.poses))
         if len(effects) > effects.shape[1]:
             effects = np.asarray(np.linalg.qr(effects, mode="r"))  # of the same squares

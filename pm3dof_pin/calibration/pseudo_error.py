@@ -28,6 +28,7 @@ SEEN = 0.02
 tripod, positions of the tool point alone show only its height; both tilts rotate it on the spot. Near a singular pose,
 an arm has such directions even if full poses are measured."""
 
+_COUNTS = 1e-3  # least weight [1, m/rad]: one of less does not count
 _SHOWN = 1e-4  # relative to the best-seen direction of a pose: one with 100 times the noise counts as unseen
 
 
@@ -37,17 +38,20 @@ class SeenErrors:
 
     errors: Array  #: e, 0 along directions that are not shown, shape=(visits, 6) [m]
     covariances: Array  #: of e, from the measurements' noise, shape=(visits, 6, 6) [m^2]
-    shown: Array  #: projections on the directions that are shown, shape=(visits, 6, 6)
+    shown: Array  #: projections on the directions that are shown, as far as they count, shape=(visits, 6, 6)
 
 
 def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> SeenErrors:
     """Combine the rows of each visit, relative to the model's poses; eta weighs the orientation [m/rad].
 
+    Components that do not count, such as the orientation of a pen, explain as much of the rows as if they did, and are
+    0 then.
     Errors are infinite at poses that are not finite, as after steps of many turns.
     """
     visits, count = measurements.visit_numbers, len(poses)
-    at_rows, weights = poses[visits], tip_weights(eta)
-    motions = np.tile(np.diag(1.0 / weights), (len(measurements), 1, 1))
+    at_rows, weights = poses[visits], tip_weights(eta, poses.robot.tool_motions)
+    free = weights < _COUNTS
+    motions = np.tile(np.diag(1.0 / np.where(free, tip_weights(), weights)), (len(measurements), 1, 1))
     rows = measurements.derivatives(at_rows, motions) / measurements.sigmas[:, :, None]
     residuals = measurements.residuals(at_rows) / measurements.sigmas
     information, pull = np.zeros((count, 6, 6)), np.zeros((count, 6))
@@ -63,6 +67,9 @@ def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGT
     shown = (axes * known[:, None, :]) @ transposed
     errors = np.einsum("nij,nj->ni", covariances, pull)
     errors[lost] = np.inf
+    errors[:, free] = 0.0
+    for matrices in (covariances, shown):
+        matrices[:, free], matrices[:, :, free] = 0.0, 0.0
     return SeenErrors(errors, covariances, shown)
 
 
@@ -76,6 +83,7 @@ class PseudoErrors:
     left: Array  #: the same at the deviated commands: what no command corrects, shape=(visits, 6) [m]
     control: Array  #: tip-weighted motion of the seen part by the drives' joints, shape=(visits, 6, number of commands)
     seen: SeenErrors  #: errors at the deviated commands with their noise
+    counted: int  #: number of components of the tip error that count
 
     @property
     def before(self) -> Array:
@@ -84,8 +92,8 @@ class PseudoErrors:
 
     @property
     def whole(self) -> bool:
-        """Whether all six components of every pose are seen."""
-        return bool(np.all(np.einsum("nii->n", self.seen.shown) > 5.5))
+        """Whether all components that count are seen of every pose."""
+        return bool(np.all(np.einsum("nii->n", self.seen.shown) > self.counted - 0.5))
 
 
 def control_inverse(control: Array, seen: float = SEEN) -> Array:
@@ -128,4 +136,5 @@ def pseudo_errors(
     reached = control(poses, found)
     gain = scales[:, None] * control_inverse(reached, seen)
     covariances = gain @ found.covariances @ np.swapaxes(gain, 1, 2)
-    return PseudoErrors(deviations, covariances, errors_at(model), found.errors, reached, found)
+    counted = int(np.count_nonzero(tip_weights(eta, model.robot.tool_motions) >= _COUNTS))
+    return PseudoErrors(deviations, covariances, errors_at(model), found.errors, reached, found, counted)

@@ -27,7 +27,6 @@ from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.folder import HISTORY, read_compensation
 from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
 from pm3dof_pin.errors.command_correction import weighted_control
-from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.files import read_text, write_text_atomically
@@ -175,7 +174,7 @@ def recheck(calibration: Compensation | Path | str, measurements: Measurements, 
     mean = np.einsum("h,hi->i", weights, means)
     zeroed = moments - np.outer(best, mean) - np.outer(mean, best) + np.outer(best, best)
     tested = reachable_poses(known.errors.robot, _POSES, np.random.default_rng(seed))
-    tip = np.concatenate(_effects(known, known.model_poses(tested)), axis=2) * tip_weights(known.eta)[:, None]
+    tip = np.concatenate(_effects(known, known.model_poses(tested)), axis=2) * known.weights[:, None]
     tip_square = np.einsum("nij,nik->jk", tip, tip) / len(tip)
     kept, set_ = (float(np.sqrt(max(0.0, np.sum(tip_square * each)))) for each in (moments, zeroed))
     contradiction = float(scipy.special.chdtrc(len(off), square))
@@ -224,9 +223,10 @@ def _root(covariance: Array) -> Array:
 
 def _scatter(known: Compensation, machine: Poses, measurements: Measurements) -> Array:
     """Return motions of one standard deviation of the scatter, the same for all rows of a visit, shape=(n, 6, k)."""
-    weights = tip_weights(known.eta)
+    weights = known.weights
+    inverse = np.divide(1.0, weights, out=np.zeros_like(weights), where=weights > 0.0)  # nothing known of the others
     first, numbers = measurements.first_rows, measurements.visit_numbers
-    covariances = known.scatter.covariances(weighted_control(machine[first], known.eta)) / np.outer(weights, weights)
+    covariances = known.scatter.covariances(weighted_control(machine[first], known.eta)) * np.outer(inverse, inverse)
     motions = np.zeros((len(measurements), 6, 6 * len(first)))
     for visit, covariance in enumerate(covariances):
         motions[numbers == visit, :, 6 * visit : 6 * visit + 6] = _root(covariance)

@@ -28,8 +28,10 @@ machine within the given tolerances."""
 
 _LOUD = 3.0  # noise factor
 _NOISY = 1.5  # the same, from which a change in the middle is searched for
+_BY_CHANCE = 3.0  # sigmas
 _COARSE = 3.0  # sigmas of a position: coarser rounding adds to the noise
 _SAME_DIGIT = 1e-6
+_SURELY = 1.0  # standard deviations by which corrected commands must be worse
 _QUIET = 0.3  # fraction of the noise
 _ENOUGH = 10.0  # degrees of freedom in the residuals, needed to tell
 _MANY_OUTLIERS = 0.4  # fraction of the rows
@@ -153,7 +155,7 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
         reasons.append("the poses match the description to the last digit: they were planned, not measured")
     elif held_out is not None:
         before, after = (float(np.sqrt(np.mean(values**2))) for values in (held_out.before, held_out.after))
-        if after >= before:
+        if after**2 - before**2 >= _SURELY * held_out.chance:
             noise = _noise_in_words(calibration)
             noise = f"; {noise}" if noise and not any(noise in reason for reason in reasons) else ""
             reasons.append(
@@ -185,10 +187,19 @@ def _too_few(found: Identification) -> str:
 
 
 def _left_over(calibration: Fit) -> float:
-    """Return the tip error that the identified parameters leave, median over the visits [m]."""
+    """Return the tip error beyond noise that the identified parameters leave, median over the visits [m].
+
+    Noise is taken off along each principal axis, so that a direction that is hardly seen, such as a camera's depth,
+    does not count.
+    """
     found = calibration.identification
     seen = seen_errors(found.settled, found.poses[found.settled.first_rows], calibration.options.eta)
-    return float(np.median(np.linalg.norm(seen.errors, axis=1)))
+    finite = np.asarray(np.isfinite(seen.errors).all(axis=1))
+    variances, axes = np.linalg.eigh(seen.covariances[finite])
+    along = np.abs(np.einsum("nij,ni->nj", axes, seen.errors[finite]))
+    sizes = np.full(len(finite), np.inf)
+    sizes[finite] = np.linalg.norm(np.maximum(along - _BY_CHANCE * np.sqrt(variances.clip(min=0.0)), 0.0), axis=1)
+    return float(np.median(sizes))
 
 
 def _strain(calibration: Fit) -> float:

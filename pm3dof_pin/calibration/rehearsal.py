@@ -22,7 +22,6 @@ from pm3dof_pin.calibration.fit import MIN_POSES, Method
 from pm3dof_pin.calibration.learned_part import fitted_model
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.calibration.pseudo_error import control_inverse
-from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array, Indices
 
@@ -46,7 +45,8 @@ class Rehearsal:
         if machines < 1:
             raise InvalidValueError("machines", machines, "at least 1")
         self.problem = problem
-        weights = tip_weights(problem.measured.map.eta)
+        weights = problem.measured.map.weights
+        self._counted = weights > 0.0
         self._sigmas = problem.instrument.sigmas * weights
         self._control, self._test_control = (
             poses.map.sensitivities.commands * weights[:, None] for poses in (problem.measured, problem.tested)
@@ -89,9 +89,11 @@ class Rehearsal:
         problem, control = self.problem, self._control[indices]
         found = np.zeros((len(self._test_control), control.shape[2]))
         if "lm" in method:
-            rows = problem.regressor[indices].reshape(-1, len(problem.unknowns))
+            rows = problem.regressor[indices][:, self._counted].reshape(-1, len(problem.unknowns))
             information = np.diag(problem.sigmas**-2.0) + rows.T @ rows
-            values = np.linalg.solve(information, rows.T @ (measured / self._sigmas).ravel())
+            values = np.linalg.solve(
+                information, rows.T @ (measured[:, self._counted] / self._sigmas[self._counted]).ravel()
+            )
             measured = measured - np.einsum("nij,j->ni", problem.measured.effects[indices], values)
             found = _undone(self._test_control, np.einsum("nij,j->ni", problem.tested.effects, values))
         if method == "lm":

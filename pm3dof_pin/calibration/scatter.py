@@ -33,7 +33,7 @@ import scipy
 from pm3dof_pin.calibration.pseudo_error import control_inverse
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.tolerances import SOLVED
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Mask
 
 COVERAGE = 0.95
 """Probability of intervals and of error bounds."""
@@ -46,7 +46,7 @@ _MISTAKE = 4.0  # times its bound: an error of eight or more standard deviations
 _LIKELY = 0.2  # chance from which on bounds are kept: on real arms, rarer counts came back on other poses
 _CHANCE = 0.01  # probability of calling normal errors long-tailed
 _TAILS = 1.1 ** np.arange(1, 25)  # up to 10
-_WHOLE = 5.5  # average number of shown directions per pose needed to separate positions from orientations
+_NOT_SHOWN = 0.5  # average number of directions per pose that may be missing to separate positions from orientations
 _DIRECTIONS = np.stack([np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])])
 
 
@@ -63,6 +63,8 @@ class Scatter:
     alike: Array = field(default_factory=lambda: np.zeros(0))
     uncertainty: Array = field(default_factory=lambda: np.zeros((3, 3)))
     #: factor on the scatter in bounds; above 1 if fewer held-out poses than promised are within bounds without it
+    #: 1 for components of the tip error that count, 0 for others: orientations that do not, shape=(6,)
+    counted: Array = field(default_factory=lambda: np.ones(6))
     tails: float = 1.0
     long_tailed: bool = False  #: whether chance hardly explains that: errors have longer tails than normal ones
 
@@ -75,6 +77,7 @@ class Scatter:
         control: Array,
         units: Sequence[str],
         *,
+        counted: Mask | None = None,
         least: float = 0.0,
     ) -> Scatter:
         """Estimate the scatter in errors whose covariance is partly known.
@@ -85,18 +88,21 @@ class Scatter:
             shown: projections on the directions they were seen in, shape=(n, 6, 6).
             control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
             units: of the drives' joints, "m" or "rad".
+            counted: mask of the components of the tip error that count, shape=(6,); by default all.
             least: number of estimated standard errors below which a part is set to zero.
         """
+        counting = np.ones(6) if counted is None else counted.astype(float)
         # a projection is of size 1, or nothing but rounding: where drives correct all, none is left
         shown = np.where(np.linalg.norm(shown, axis=(1, 2), keepdims=True) < SOLVED, 0.0, shown)
         unit = float(np.einsum("nii->", covariances)) / max(1.0, float(np.einsum("nii->", shown)))
         if not shown.any():
-            return cls()
+            return cls(counted=counting)
         squares, same = np.mean(np.sum(control**2, axis=1), axis=0), np.equal.outer(units, units)
         effects = np.sqrt((same @ squares) / same.sum(axis=1))  # by kind of drive, rms
         alike = np.where(effects > 0.0, 1.0 / np.maximum(effects, np.finfo(float).tiny), 0.0)
         by_drives = shown @ (control * alike)
-        whole = np.mean(np.einsum("nii->n", shown)) > _WHOLE
+        of_each = counting.reshape(2, 3).sum(axis=1)
+        whole = of_each.all() and np.mean(np.einsum("nii->n", shown)) > of_each.sum() - _NOT_SHOWN
         directions = shown @ (_DIRECTIONS if whole else np.eye(6)[None])[:, None] @ shown
         parts = np.concatenate([directions, [by_drives @ np.swapaxes(by_drives, 1, 2)]])
         known, products = covariances / unit, errors[:, :, None] * errors[:, None, :] / unit
@@ -111,9 +117,10 @@ class Scatter:
                 break
             kept.pop(weakest)
         everywhere, drives = np.resize(unit * variances[:-1], 2), unit * float(variances[-1])
-        tip_error = float(np.sqrt(3.0 * everywhere.sum() + drives * np.count_nonzero(alike)))
+        tip_error = float(np.sqrt(everywhere @ of_each + drives * np.count_nonzero(alike)))
         places = [0, len(parts) - 2, len(parts) - 1]
-        return cls(everywhere, drives * alike**2, tip_error, alike, unit**2 * uncertainty[np.ix_(places, places)])
+        of_places = unit**2 * uncertainty[np.ix_(places, places)]
+        return cls(everywhere, drives * alike**2, tip_error, alike, of_places, counting)
 
     def with_tails(self, errors: Array, covariances: Array, shown: Array, control: Array) -> Scatter:
         """Return the scatter with the factor in bounds that errors of held-out poses, outliers among them, ask for.
@@ -153,7 +160,9 @@ class Scatter:
             control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
         """
         by_drives = (control * self.drives) @ np.swapaxes(control, 1, 2) if self.drives.size else 0.0
-        return np.asarray(np.tensordot(self.everywhere, _DIRECTIONS, 1) + by_drives + np.zeros((len(control), 6, 6)))
+        return np.asarray(
+            np.diag(np.repeat(self.everywhere, 3) * self.counted) + by_drives + np.zeros((len(control), 6, 6))
+        )
 
     def mean_square_variance(self, gains: Array, control: Array) -> float:
         """Return the variance of the mean square of `gains` times the errors, due to the scatter's own uncertainty.
@@ -162,7 +171,8 @@ class Scatter:
             gains: shape=(n, k, 6).
             control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
         """
-        parts = gains[:, :, :3], gains[:, :, 3:], gains @ (control * (self.alike if self.alike.size else 0.0))
+        counted = gains * self.counted
+        parts = counted[:, :, :3], counted[:, :, 3:], gains @ (control * (self.alike if self.alike.size else 0.0))
         squares = np.array([np.sum(part**2) for part in parts]) / len(gains)
         return float(squares @ self.uncertainty @ squares)
 

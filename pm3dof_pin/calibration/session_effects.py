@@ -116,7 +116,7 @@ class SessionEffects:
         """
         if not self.drift.size:
             return np.zeros((len(poses), 6, 0))
-        base = datum_motions(poses)[:, :, :_BASE] * tip_weights(eta)[:, None]
+        base = datum_motions(poses)[:, :, :_BASE] * tip_weights(eta, poses.robot.tool_motions)[:, None]
         motions = np.concatenate([base, _by_joints(poses, eta)], axis=2)
         if TIME_COLUMN in conditions:
             part = self._part(conditions[TIME_COLUMN], poses)[:, None, None]

@@ -71,7 +71,7 @@ class WorkspaceErrors:
         floor = None
         if compensation.values is not None:
             nearest = nearest_poses(nominal, seen, compensation.eta, on_failure="nan").transforms
-            floor = spread(tip_error(pose_difference(nearest, seen), compensation.eta))
+            floor = spread(tip_error(pose_difference(nearest, seen), compensation.eta, robot.tool_motions))
         if calibration.measurements.registration is not None:  # the robot as described has another base
             found = register(seen[:, :3, 3], nominal.positions, seen[:, :3, :3], nominal.rotations)
             seen = seen.copy()
@@ -81,7 +81,7 @@ class WorkspaceErrors:
             (first, second),
             (robot.coordinate(first).unit, robot.coordinate(second).unit),
             (grid.axes[first], grid.axes[second]),
-            spread(tip_error(pose_difference(nominal.transforms, seen), compensation.eta)),
+            spread(tip_error(pose_difference(nominal.transforms, seen), compensation.eta, robot.tool_motions)),
             spread(expected),
             floor,
             _within(robot, grid),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,6 +28,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.pose_file import readings
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import coordinate_scales
+from pm3dof_pin.measuring.measurement_file import drive_names
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array
@@ -116,7 +118,7 @@ def compensate(
         with progress_bar("compensating") as progress:
             answer = known.compensate(many, conditions, on_failure="nan", with_deviations=False, progress=progress)
         columns = {
-            **table.columns,
+            **_without_commands(table.columns, machine),
             **numbers,
             **readings(machine.command_coordinates, answer.commands),
             "predicted_error_m": answer.predicted_error,
@@ -140,6 +142,12 @@ def compensate(
         "conditions": conditions,
     }
     print_at_pose(solved, result, _lines(machine, answer), as_json=as_json)
+
+
+def _without_commands(columns: Mapping[str, Array], machine: Robot) -> dict[str, Array]:
+    """Return the columns of the poses, without those of commands, beside which corrected ones would be ambiguous."""
+    commands = {name for k, name in enumerate(drive_names(machine), start=1) for name in (name, f"u{k}")}
+    return {name: values for name, values in columns.items() if name.rpartition("_")[0] not in commands}
 
 
 def _loaded(robot: str, machine: Robot) -> Robot:

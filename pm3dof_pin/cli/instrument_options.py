@@ -141,6 +141,7 @@ class InstrumentOptions:
             "known_centres": self.known_centres,
             "length": self.length,
             "joints": tuple(self.encoder or ()),
+            "target_sigma": self._target_sigma,
         }
 
     def placed(self, poses: Poses) -> Instrument:
@@ -160,5 +161,9 @@ class InstrumentOptions:
         )
         if self.targets is None:
             return seen
-        target = self.target_sigma if self.target_offsets == "estimate" else 0.0
-        return replace(seen, targets=circle_of_targets(self.targets), target_sigma=target, position_sigma=one)
+        targets = circle_of_targets(self.targets)
+        return replace(seen, targets=targets, target_sigma=self._target_sigma, position_sigma=one)
+
+    @property
+    def _target_sigma(self) -> float:
+        return self.target_sigma if self.target_offsets == "estimate" else 0.0

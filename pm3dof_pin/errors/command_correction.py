@@ -6,12 +6,13 @@ With fewer drives than the pose has degrees of freedom, no commands reach the fu
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
@@ -47,15 +48,23 @@ def command_scales(poses: Poses) -> Array:
 
 def weighted_control(poses: Poses, eta: float = TIP_LENGTH) -> Array:
     """Return the tip-weighted motion of the tool by the drives' joints, shape=(n, 6, number of commands) [m]."""
-    return np.asarray(command_jacobians(poses) * command_scales(poses) * tip_weights(eta)[:, None])
+    return np.asarray(
+        command_jacobians(poses) * command_scales(poses) * tip_weights(eta, poses.robot.tool_motions)[:, None]
+    )
 
 
-def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_LENGTH) -> Array:
+def best_commands(
+    commands: ArrayLike,
+    differences: ArrayLike,
+    eta: float = TIP_LENGTH,
+    motions: Sequence[ToolComponent] = TOOL_COMPONENTS,
+) -> Array:
     """Return the change of commands that undoes most of small pose errors, shape=(n, 6) [m, rad].
 
-    `commands` are the tool's motions, shape=(n, 6, number of commands); eta weighs the orientation [m/rad].
+    `commands` are the tool's motions, shape=(n, 6, number of commands); eta weighs the orientation [m/rad], and only
+    the robot's `tool_motions` count.
     """
-    weights = tip_weights(eta)
+    weights = tip_weights(eta, motions)
     control = np.asarray(commands, dtype=float) * weights[:, None]
     weighted = np.asarray(differences, dtype=float) * weights
     change, sound = _normal_solution(control, weighted)
@@ -86,13 +95,13 @@ def nearest_poses(poses: Poses, targets: Array, eta: float = TIP_LENGTH, *, on_f
     """
 
     def residuals(poses: Poses) -> Array:
-        return pose_difference(targets, poses.transforms) * tip_weights(eta)
+        return pose_difference(targets, poses.transforms) * tip_weights(eta, poses.robot.tool_motions)
 
     scales = command_scales(poses)
 
     def step(poses: Poses) -> Array:
         difference = pose_difference(targets, poses.transforms)
-        return scales * best_commands(command_jacobians(poses) * scales, difference, eta)
+        return scales * best_commands(command_jacobians(poses) * scales, difference, eta, poses.robot.tool_motions)
 
     return descend(poses, poses.commands, step, residuals, on_failure=on_failure)[1]
 

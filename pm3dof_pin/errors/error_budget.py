@@ -15,7 +15,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.command_correction import command_jacobians
-from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
 from pm3dof_pin.errors.tool_errors import ToolErrors
 from pm3dof_pin.exceptions import InvalidValueError
@@ -83,7 +83,7 @@ class ErrorBudget(ToolErrors):
     @property
     def left_rms(self) -> Array:
         """Remaining tip error with the best commands, root mean square over machines, shape=(n,) [m]."""
-        weights = tip_weights(self.eta)
+        weights = self.weights
         shift, squares = np.zeros((len(self.poses), 6)), np.zeros(len(self.poses))
         for source in self.sources:
             effects = source.effects * weights[:, None]

@@ -53,7 +53,7 @@ class ErrorMap(ToolErrors):
     @cached_property
     def weighted(self) -> Array:
         """W S, shape=(n, 6, number of parameters) [m per unit of the parameter]."""
-        return frozen(self.sensitivities.errors * tip_weights(self.eta)[:, None])
+        return frozen(self.sensitivities.errors * self.weights[:, None])
 
     @cached_property
     def uncompensable(self) -> Array:

@@ -12,6 +12,7 @@ from typing import Literal, Unpack
 
 import numpy as np
 
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.normal_vectors import mean_radius
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
@@ -77,15 +78,20 @@ def kinematic_sum_program(sources: ErrorSources, name: KinematicSum, eta: float 
         ProgramError: see :func:`~pm3dof_pin.errors.sensitivity_program.evaluated`.
     """
     numbers, values = sources.kinematic, {"eta": eta}
+    counted = np.isin(TOOL_COMPONENTS, sources.robot.tool_motions)
+    label = "_".join([f"error_{name}", *(() if counted.all() else sources.robot.tool_motions)])
     for k, (deviation, greatest) in enumerate(zip(numbers.deviations, numbers.greatest, strict=True)):
         values |= {f"deviation/{k}": float(deviation), f"greatest/{k}": float(deviation * greatest)}
     return BoundProgram(
-        *reduced(f"error_{name}", numbers.errors, lambda motions: _recorded(name, motions, values), values)
+        *reduced(label, numbers.errors, lambda motions: _recorded(name, motions, values, counted), values)
     )
 
 
-def _recorded(name: KinematicSum, motions: Motions, values: Mapping[str, float]) -> Outputs:
-    """Record a sum; for the energy, the eigenvalues of the covariances of position and orientation instead."""
+def _recorded(name: KinematicSum, motions: Motions, values: Mapping[str, float], counted: Mask) -> Outputs:
+    """Record a sum; for the energy, the eigenvalues of the covariances of position and orientation instead.
+
+    Only the components of the tool's motion that count are summed, shape=(6,).
+    """
     number = {name: motions.graph.parameter(name, value) for name, value in values.items()}
     columns = np.hstack([motions.errors, motions.drives])
     deviations, greatest = (
@@ -93,9 +99,10 @@ def _recorded(name: KinematicSum, motions: Motions, values: Mapping[str, float])
         for kind in ("deviation", "greatest")
     )
     if name == "energy":
+        columns = np.where(counted[:, None], columns, 0.0)
         parts = (columns[:3] * deviations, columns[3:] * deviations)
         return {name: np.array([_covariance_eigenvalues(rows) for rows in parts], dtype=object)}
-    weighted = np.vstack([columns[:3], columns[3:] * number["eta"]])
+    weighted = np.vstack([columns[:3], columns[3:] * number["eta"]])[counted]
     if name == "worst_tip":
         return {name: np.array(_bound(weighted, greatest), dtype=object)}
     spread = weighted * deviations

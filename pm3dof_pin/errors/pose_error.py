@@ -6,9 +6,12 @@ Machine Tools (Springer 2010), section 8.3.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.typing import Array
 
@@ -60,12 +63,15 @@ def moved_pose(pose: ArrayLike, difference: ArrayLike) -> Array:
     return moved
 
 
-def tip_error(difference: ArrayLike, eta: float = TIP_LENGTH) -> Array:
+def tip_error(
+    difference: ArrayLike, eta: float = TIP_LENGTH, motions: Sequence[ToolComponent] = TOOL_COMPONENTS
+) -> Array:
     """Return the size of pose differences, sqrt(|translation|^2 + eta^2 |rotation|^2), shape=(...) [m].
 
-    A smooth variant of (8.15): as a quadratic form it can be projected, averaged and fitted. eta is in m/rad.
+    A smooth variant of (8.15): as a quadratic form it can be projected, averaged and fitted. eta is in m/rad; of a
+    robot with `tool_motions` only these count.
     """
-    return np.asarray(np.linalg.norm(np.asarray(difference, dtype=float) * tip_weights(eta), axis=-1))
+    return np.asarray(np.linalg.norm(np.asarray(difference, dtype=float) * tip_weights(eta, motions), axis=-1))
 
 
 def weighted_energy(errors: ArrayLike) -> Array:
@@ -74,9 +80,9 @@ def weighted_energy(errors: ArrayLike) -> Array:
     return np.asarray(np.linalg.norm(weighted[..., :3], axis=-1) + np.linalg.norm(weighted[..., 3:], axis=-1))
 
 
-def tip_weights(eta: float = TIP_LENGTH) -> Array:
-    """Return the weights (1, 1, 1, eta, eta, eta) of the tip-weighted size, shape=(6,)."""
-    return np.repeat([1.0, _checked_eta(eta)], 3)
+def tip_weights(eta: float = TIP_LENGTH, motions: Sequence[ToolComponent] = TOOL_COMPONENTS) -> Array:
+    """Return the weights (1, 1, 1, eta, eta, eta) of the tip-weighted size, 0 beside a tool's motions, shape=(6,)."""
+    return np.repeat([1.0, _checked_eta(eta)], 3) * [name in motions for name in TOOL_COMPONENTS]
 
 
 def rotation_vector(rotation: ArrayLike) -> Array:

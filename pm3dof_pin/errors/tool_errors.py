@@ -53,16 +53,21 @@ class ToolErrors(ABC):
         """Return the tool's motion by the commands, shape=(n, 6, number of commands)."""
 
     @property
+    def weights(self) -> Array:
+        """The weights of the tip error: W, 0 for what is not a motion of the tool, shape=(6,)."""
+        return tip_weights(self.eta, self.poses.robot.tool_motions)
+
+    @property
     def tip_rms(self) -> Array:
         """Tip error, root mean square over machines, shape=(n,) [m]."""
-        weights = tip_weights(self.eta)
+        weights = self.weights
         squares = np.sum((self.shift * weights) ** 2, axis=1)
         return np.asarray(np.sqrt(squares + self._sizes(np.swapaxes(self.effects, 1, 2), weights) ** 2))
 
     @property
     def worst_tip(self) -> Array:
         """Bound of the tip error with every number within its greatest value, shape=(n,) [m]."""
-        weights = tip_weights(self.eta)
+        weights = self.weights
         effects, greatest = self.effects, self.greatest
         components = np.abs(self.shift) + np.abs(effects) @ greatest
         sizes = np.sqrt(np.einsum("nik,nik,i->nk", effects, effects, weights**2))
@@ -72,11 +77,11 @@ class ToolErrors(ABC):
     @property
     def energy(self) -> Array:
         """E of (8.15), E_xyz + eta E_orientation, mean over machines with normal errors, shape=(n,) [m]."""
-        covariance = self.covariance()
+        shift, covariance = self.shift * self.weights, self.covariance() * np.outer(self.weights, self.weights)
         position, orientation = (
-            expected_norm(self.shift[:, part], covariance[:, part, part]) for part in (slice(0, 3), slice(3, 6))
+            expected_norm(shift[:, part], covariance[:, part, part]) for part in (slice(0, 3), slice(3, 6))
         )
-        return np.asarray(position + self.eta * orientation)
+        return np.asarray(position + orientation)
 
     def covariance(self) -> Array:
         """Return the covariance of the tool's pose error, shape=(n, 6, 6) [m^2, m rad, rad^2]."""
@@ -97,7 +102,7 @@ class ToolErrors(ABC):
     @cached_property
     def _basis(self) -> Array:
         """Orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); zero-padded."""
-        left, values, _ = np.linalg.svd(self._by_commands() * tip_weights(self.eta)[:, None], full_matrices=False)
+        left, values, _ = np.linalg.svd(self._by_commands() * self.weights[:, None], full_matrices=False)
         return np.asarray(left * (values > SOLVED * values.max(axis=1, keepdims=True))[:, None, :])
 
     @staticmethod

@@ -21,6 +21,7 @@ from pm3dof_pin.typing import Array, Indices, Mask
 
 _MAX_ROUNDS = 50
 _SETTLED = 1e-12  # [m, rad]
+_IN_A_PLANE = 1e-6  # of the greatest extent
 _DAMPING, _FASTER = 1e-12, 100.0
 
 
@@ -51,6 +52,7 @@ class DatumKind:
     #: from the cells of `columns`, shape=(n, columns)
     read: Callable[[Array], tuple[Array, Array | float]] = _nothing
     written: Callable[[Array], Array] = _no_cells  #: cells of `columns` that say these numbers with a change of 1
+    round: bool = False  #: whether it is a sphere, which points in a plane see alike from both sides
     through_a_lens: bool = False  #: whether g is of directions, so that a row is a length only at its depth, Z
 
 
@@ -77,6 +79,10 @@ class Datum:
     values: Array  #: numbers measured, NaN in rows that are not measured against it, shape=(n, dimension) [m]
     #: what the kind's coordinates are multiplied by: the depth for a camera, else 1, shape=(n,)
     scales: Array
+    #: distance of a sphere's centre from the plane of all points seen, along z of its axes [m]; NaN if these are not
+    #: in a plane. Near it, only the square matters: the placement's z is half its change over `reach`
+    height: float = float("nan")
+    reach: float = 1.0  #: see `height` [m]
 
     @classmethod
     def fitted(cls, kind: DatumKind, number: int, points: Array, values: Array) -> Datum:
@@ -103,7 +109,20 @@ class Datum:
             raise nowhere from error
         if not np.isfinite([*found.origin, *found.axes.ravel()]).all():
             raise nowhere
-        return found.at_its_depth(points)
+        return found._above_a_plane(points[own]).at_its_depth(points)
+
+    def _above_a_plane(self, points: Array) -> Datum:
+        """Return a sphere with its height above the plane of the points seen, if they are in one."""
+        if not self.kind.round or len(points) < len(self.axes):
+            return self
+        middle, axes = points.mean(axis=0), axes_of_extents(points)
+        sizes = np.abs((points - middle) @ axes.T).max(axis=0)
+        if sizes[2] > _IN_A_PLANE * sizes[0] or sizes[1] <= _IN_A_PLANE * sizes[0]:
+            return self
+        if abs(axes[2, 2]) > 1.0 - _IN_A_PLANE:
+            axes = np.eye(3)
+        reach = float(np.median(np.linalg.norm(points - self.origin, axis=1)))
+        return replace(self, axes=axes, height=float(axes[2] @ (self.origin - middle)), reach=reach)
 
     @classmethod
     def _nearest(cls, kind: DatumKind, number: int, points: Array, values: Array) -> Datum:
@@ -175,8 +194,18 @@ class Datum:
         """Return the datum at another placement, shape=(k,) [m, rad]; see :meth:`by_placement`."""
         twist = np.zeros(6)
         twist[list(self.kind.moves)] = values
+        if np.isfinite(self.height):
+            return self._lifted(twist)
         turned = rotation_matrix(twist[3:]).T @ self.axes
         return replace(self, origin=self.origin + self.axes.T @ twist[:3], axes=turned)
+
+    def _lifted(self, twist: Array) -> Datum:
+        square = self.height**2 + 2.0 * self.reach * twist[2]
+        height = np.copysign(np.sqrt(max(square, 0.0)), self.height)
+        origin = self.origin + self.axes.T @ [*twist[:2], height - self.height]
+        # distances shorter than from any place in the plane are lengthened instead
+        values = np.sqrt(self.values**2 - min(square, 0.0))
+        return replace(self, origin=origin, values=values, height=height)
 
     def without(self, points: Array, motions: Array) -> Datum:
         """Return what would be measured if the points had not made given motions, shape=(n, 3) [m]."""
@@ -192,6 +221,9 @@ class Datum:
         nothing = np.zeros_like(x)
         cross = np.stack([[nothing, -z, y], [z, nothing, -x], [-y, x, nothing]]).transpose(2, 0, 1)
         whole = np.concatenate([np.tile(-np.eye(3), (len(points), 1, 1)), cross], axis=2)
+        if np.isfinite(self.height):
+            own = np.stack([x, y, z], axis=1)
+            whole[:, :, 2] = self.reach * own / np.maximum(np.sum(own**2, axis=1, keepdims=True), _SETTLED)
         return np.asarray(whole[:, :, self.kind.moves])
 
     def _misfit(self, points: Array) -> float:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal, get_args
@@ -47,6 +47,7 @@ _UNITS = {
 _UNIT_OF = {word: unit for unit, words in _UNITS.items() for word in words}
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _AT_THE_END = re.compile(r"(.*\S)[\s_/]+(\S+)")
+_OF_DRIVES = ("", "from_", "approach_")
 _TIMES = ("timestamp", "date_time", "datetime")
 _COMMENTS = ("#", "//", "%")
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
@@ -195,14 +196,31 @@ class Export:
     rows: int  #: number of rows
 
     @classmethod
-    def read(cls, path: Path, needed: Collection[str], columns: ColumnMap | None = None) -> Export:
+    def read(
+        cls,
+        path: Path,
+        needed: Collection[str],
+        columns: ColumnMap | None = None,
+        drives: Sequence[str] = (),
+    ) -> Export:
         """Read a file; its header is the first line that has the columns `needed`, in any unit.
+
+        Columns of commands may also have the names of the drives: `m1_deg` for `u1_deg`.
 
         Raises:
             MeasurementError: it is unreadable, is not text in a known encoding, has a row of another length, a time
-                that is none, or a column of lengths or angles without a unit.
+                that is none, a column of lengths or angles without a unit, or a command twice.
         """
         given = columns or ColumnMap()
+        numbers = {f"{what}{name}".casefold(): f"{what}u{k}" for k, name in enumerate(drives, 1) for what in _OF_DRIVES}
+
+        def name_of(heading: str) -> str:
+            name = given.name_of(without_apostrophe(heading.strip()))
+            stem, unit = _split(name)
+            if _SIMPLE.fullmatch(stem) or (number := numbers.get(stem.casefold())) is None:
+                return name
+            return f"{number}_{unit}" if unit else number
+
         text, encoding = _decoded(path, given.encoding)
         lines = [line.replace("\0", "") for line in text.splitlines()]
         if "\0" in text:
@@ -217,11 +235,11 @@ class Export:
             separator = separator or _separator(first)
             headings: Sequence[str] = given.header
         else:
-            header_line, headings, separator = _header(lines, separator, given, stems)
+            header_line, headings, separator = _header(lines, separator, name_of, stems)
         decimal = given.decimal or ("." if separator == "," else ",")
         rows = _rows(path, lines, header_line, separator)
         headings, rows = _without_headings(headings, rows)
-        names = [given.name_of(without_apostrophe(heading.strip())) for heading in headings]
+        names = [name_of(heading) for heading in headings]
         names, rows = _without_last(path, header_line, names, rows)
         kept = [k for k, name in enumerate(names) if name != IGNORE]
         headed = [names[k] for k in kept]
@@ -237,6 +255,11 @@ class Export:
         if bare:
             problem = f"{', '.join(bare)} without a unit: expected headings such as {bare[0]} [mm], or --columns"
             raise MeasurementError(path, problem, [max(header_line, 1)])
+        for number in dict.fromkeys(numbers.values()):
+            same = [headings[kept[k]].strip() for k, name in enumerate(headed) if _split(name)[0] == number]
+            if len(set(same)) > 1:
+                problem = f"{', '.join(same)}: expected one column of {number}"
+                raise MeasurementError(path, problem, [max(header_line, 1)])
         if decimal == ",":
             cells = {line: [cell.replace(",", ".") for cell in row] for line, row in cells.items()}
         known = [bool(_SIMPLE.fullmatch(_split(name)[0]) or is_condition(name)) for name in headed]
@@ -313,7 +336,9 @@ def _cells(line: str, separator: str) -> list[str]:
     return next(csv.reader([line], delimiter=separator), [])
 
 
-def _header(lines: list[str], separator: str, given: ColumnMap, stems: Collection[str]) -> tuple[int, list[str], str]:
+def _header(
+    lines: list[str], separator: str, name_of: Callable[[str], str], stems: Collection[str]
+) -> tuple[int, list[str], str]:
     """Return the line of the header, its headings, and what separates them; the first row if none has the columns."""
     found: list[tuple[int, list[str], str]] = []
     for in_comments in (False, True):
@@ -327,7 +352,7 @@ def _header(lines: list[str], separator: str, given: ColumnMap, stems: Collectio
                 headings = _cells(text, mark)
             except csv.Error:
                 continue
-            names = {_split(given.name_of(without_apostrophe(heading.strip())))[0] for heading in headings}
+            names = {_split(name_of(heading))[0] for heading in headings}
             if names >= set(stems) if stems else any(map(_SIMPLE.fullmatch, names)):
                 return number, headings, mark
             if not in_comments:

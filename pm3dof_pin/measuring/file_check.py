@@ -12,7 +12,7 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
 from pm3dof_pin.measuring.instruments.table import datum_kinds
-from pm3dof_pin.measuring.measurement_file import command_columns, read_measurements
+from pm3dof_pin.measuring.measurement_file import command_columns, drive_names, read_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Mask
@@ -38,7 +38,7 @@ class FileCheck:
         Raises:
             MeasurementError: the file cannot be understood, or cannot be true of the robot.
         """
-        export = Export.read(Path(path), command_columns(robot), columns)
+        export = Export.read(Path(path), command_columns(robot), columns, drive_names(robot))
         table = export.table(command_columns(robot))
         seen = read_measurements(path, robot, own_frame=own_frame, columns=columns)
         ranges = {}

@@ -14,7 +14,7 @@ from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.angles import replace_angles
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
-from pm3dof_pin.measuring.measurement_file import command_columns
+from pm3dof_pin.measuring.measurement_file import command_columns, drive_names
 from pm3dof_pin.typing import Array
 
 _TIME = "time_s"
@@ -78,7 +78,8 @@ def join(
     if not np.isfinite(offset):
         raise InvalidValueError("offset", offset, "a finite number of seconds")
     names, times = command_columns(robot), () if tolerance is None else (_TIME,)
-    left, right = _table(Path(log), (*names, *times), log_columns), _table(Path(seen), times, columns)
+    left = _table(Path(log), (*names, *times), log_columns, drive_names(robot))
+    right = _table(Path(seen), times, columns)
     if columns is not None and columns.angles:
         replace_angles(right, columns.angles)
     commands = left.matrix(names)
@@ -119,8 +120,8 @@ def join(
     return Joined(found, tuple(without), tuple(moved), float(gaps[kept].max()))
 
 
-def _table(path: Path, needed: tuple[str, ...], columns: ColumnMap | None) -> CsvTable:
-    table = Export.read(path, needed, columns).table(needed)
+def _table(path: Path, needed: tuple[str, ...], columns: ColumnMap | None, drives: tuple[str, ...] = ()) -> CsvTable:
+    table = Export.read(path, needed, columns, drives).table(needed)
     table.keep(np.asarray(np.isfinite(table.matrix(needed)).all(axis=1)))
     return table
 

@@ -57,6 +57,11 @@ def command_columns(robot: Robot) -> tuple[str, ...]:
     return tuple(f"u{k}_{unit}" for k, unit in enumerate((command.unit for command in robot.commands), start=1))
 
 
+def drive_names(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the drives, which columns of commands may have instead of u1, u2 ..."""
+    return tuple(command.name for command in robot.command_coordinates)
+
+
 def start_columns(robot: Robot) -> tuple[str, ...]:
     """Return the columns of the commands at the pose where a distance starts: from_u1_m ..."""
     return tuple(f"from_{name}" for name in command_columns(robot))
@@ -165,8 +170,9 @@ def read_measurements(
 ) -> Measurements:
     """Read and check a CSV file of measurements.
 
-    Columns: the commands (`u1_m,u2_m,u3_m`, or `u1_rad` for a rotary drive), `x_m,y_m,z_m`, and for full poses
-    `qw,qx,qy,qz`. Optional: `px_m,py_m,pz_m`, the point seen, in tool axes; `sigma_x_m ... sigma_rz_rad`;
+    Columns: the commands (`u1_m,u2_m,u3_m`, or `u1_rad` for a rotary drive, or with the drives' names, `slider1_m`),
+    `x_m,y_m,z_m`, and for full poses `qw,qx,qy,qz`. Optional: `px_m,py_m,pz_m`, the point seen, in tool axes;
+    `sigma_x_m ... sigma_rz_rad`;
     `temperature_*_K`, `load_*`; `time_s`, to identify drift; `approach_u1` ..., the direction (1, -1, 0 for unknown)
     from which each drive came, by default inferred from the order in time; `encoder_<joint>_rad` or `_m`, readings of
     passive joints, and `sigma_encoder_...`. Columns may be in mm, um, deg, mrad or urad if their names say so (`x_mm`,
@@ -214,7 +220,7 @@ def _approach_columns(robot: Robot) -> tuple[str, ...]:
 
 def _table(path: Path, robot: Robot, columns: ColumnMap | None) -> CsvTable:
     """Read a file with commands."""
-    return Export.read(path, command_columns(robot), columns).table(command_columns(robot))
+    return Export.read(path, command_columns(robot), columns, drive_names(robot)).table(command_columns(robot))
 
 
 def _commands(table: CsvTable, robot: Robot) -> Array:

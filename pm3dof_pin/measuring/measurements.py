@@ -408,7 +408,9 @@ class Measurements:
     def tip_misfits(self, poses: Poses, eta: float = TIP_LENGTH) -> Array:
         """Return the tip-weighted size of the residuals of the tool, shape=(n,) [m]; see :meth:`residuals`."""
         tool = self.tool_columns
-        residuals = self.residuals(poses)[:, :tool] * tip_weights(eta)[:tool]
+        # the first columns are distances, too
+        weights = np.concatenate([np.ones(3), tip_weights(eta, poses.robot.tool_motions)[3:]])
+        residuals = self.residuals(poses)[:, :tool] * weights[:tool]
         return np.asarray(np.linalg.norm(np.where(self.seen[:, :tool], residuals, 0.0), axis=1))
 
     def derivatives(self, poses: Poses, tool_motions: Array) -> Array:

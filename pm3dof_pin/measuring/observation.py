@@ -83,6 +83,7 @@ def observed(commands: Array, transforms: Array, instrument: Instrument) -> Meas
     points = at[:, :3, 3] + np.einsum("nij,nj->ni", at[:, :3, :3], offsets)
     sigmas = np.full((len(rows), 3), np.inf)
     found = Measurements(commands[rows], at[:, :3, 3], None, np.ones((len(rows), 3)), offsets)
+    found = replace(found, target_sigma=instrument.target_sigma)
     if instrument.known_centres:
         sigmas[:, 0] = instrument.position_sigma
         origins = np.array([each.origin for each in placed])[against]

@@ -22,6 +22,7 @@ from pm3dof_pin.typing import Array
 _FAR = 5.0  # times the median distance
 _MAX_ROUNDS = 20
 _ON_A_LINE = 1e-6  # of the greatest extent
+_NEARLY = 0.1  # of the greatest extent
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +75,13 @@ def register(
     """Locate the base from positions, and orientations if there are any.
 
     `seen` values are in instrument axes, `expected` ones follow from the machine's description, in base axes:
-    shape=(n, 3) [m] and shape=(n, 3, 3). eta weighs the orientation [m/rad].
+    shape=(n, 3) [m] and shape=(n, 3, 3). eta weighs the orientation [m/rad]; at 0 it does not count.
 
     Raises:
         InvalidValueError: positions only, all on one line: the rotation about that line is undetermined.
     """
+    if eta == 0.0:
+        seen_rotations = None
     agreeing = np.ones(len(seen), dtype=bool)
     for _ in range(_MAX_ROUNDS):
         turned = None
@@ -117,17 +120,29 @@ def _nearest(seen: Array, expected: Array, turned: Array | None) -> Registration
     return Registration(rotation, translation, float(np.sqrt(np.mean(np.sum(left_over**2, axis=1)))))
 
 
-def fitted_sphere(points: Array, radii: Array) -> Array:
-    """Return the centre of a sphere on which points lie, shape=(n, 3) [m], at distances from it, shape=(n,) [m].
+def fitted_spheres(points: Array, radii: Array) -> list[Array]:
+    """Return possible centres of a sphere, given distances of points from it, shape=(n, 3) and (n,) [m].
 
-    First linear in the centre and the square of its distance from the origin, then by Gauss-Newton.
+    Linear in the centre c along the k greatest extents of the points, and in the square of its distance from the
+    points' middle, from which its height h above their plane or line follows:
+
+        2 c x - (c^2 + h^2) = x^2 - r^2.
+
+    All directions across a plane or line fit equally well: one of them is returned. Of points near a plane or line,
+    all are.
     """
     middle = points.mean(axis=0)
     seen = points - middle
-    rows = np.column_stack([2.0 * seen, -np.ones(len(seen))])
-    centre = np.linalg.lstsq(rows, np.sum(seen**2, axis=1) - radii**2, rcond=None)[0][:3]
-    for _ in range(_MAX_ROUNDS):
-        spans = seen - centre
-        sizes = np.maximum(np.linalg.norm(spans, axis=1), np.finfo(float).tiny)
-        centre = centre + np.linalg.lstsq(spans / sizes[:, None], sizes - radii, rcond=None)[0]
-    return np.asarray(centre + middle)
+    _, sizes, axes = np.linalg.svd(seen, full_matrices=False)
+    axes = axes * np.sign(axes[np.arange(3), np.abs(axes).argmax(axis=1)])[:, None]
+    flat, thin = sizes <= _ON_A_LINE * sizes[0], sizes <= _NEARLY * sizes[0]
+    centres = []
+    for k in range(1, 4):
+        if flat[k - 1] or not thin[k:].all():
+            continue
+        rows = np.column_stack([2.0 * seen @ axes[:k].T, -np.ones(len(seen))])
+        found = np.linalg.lstsq(rows, np.sum(seen**2, axis=1) - radii**2, rcond=None)[0]
+        within, height = found[:k] @ axes[:k], np.sqrt(max(found[k] - np.sum(found[:k] ** 2), 0.0))
+        across = axes[k : k + 1] if flat[k:].all() else np.concatenate([axes[k:], -axes[k:]])
+        centres += [middle + within + height * axis for axis in across] if k < 3 else [middle + within]
+    return centres

@@ -277,7 +277,7 @@ def _target_rotation(targets: Mapping[str, Scalar]) -> Objects:
 
 
 def _angle_equation(tool: Transform, component: str, targets: Mapping[str, Scalar]) -> tuple[Scalar, Objects, Scalar]:
-    """Return the error of one angle, its derivative by angular velocity, and 1 if it is over 90 degrees off, or ry is."""
+    """Return the error of one angle, its derivative by angular velocity, and 1 if it, or ry, is over 90 degrees."""
     R = tool.rotation
     c, s = cos(targets[component]), sin(targets[component])
     if component == "ry":  # R02 = sin(ry)

@@ -15,6 +15,7 @@ import pytest
 
 from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.fit import Options, fit
+from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.refusals import likely_cause, refusals
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
@@ -84,6 +85,17 @@ def test_where_nothing_is_wrong_there_is_no_cause_and_no_objection(
 ) -> None:
     assert likely_cause(measured, tripod_errors) == ""
     assert refusals(fit(measured, tripod_errors, Options("lm")), None) == []
+
+
+def test_noise_in_a_direction_that_is_hardly_seen_is_no_residual(
+    measured: Measurements, tripod_errors: GeometricErrors
+) -> None:
+    """Eight millimetres of noise in x, as in a camera's depth, of sigmas that say so."""
+    sigmas, generator = np.tile(np.repeat([2e-4, 2e-3], 3), (len(measured), 1)), np.random.default_rng(6)
+    sigmas[:, 0] = 8e-3
+    noisy = measured.positions + generator.standard_normal(measured.positions.shape) * [8e-3, 0.0, 0.0]
+    found = fit(replace(measured, positions=noisy, sigmas=sigmas), tripod_errors, Options("lm"))
+    assert refusals(found, HeldOut.from_cross_validation(found)) == []
 
 
 def test_a_frame_that_is_a_little_wrong_is_objected_to(measured: Measurements, tripod_errors: GeometricErrors) -> None:

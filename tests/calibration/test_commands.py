@@ -346,3 +346,20 @@ def test_parameters_with_which_loops_cannot_close_are_named(place: Path, run: Ru
     assert crowded.returncode == 1
     assert "at least 1 of the ranges from each other" in crowded.stderr
     assert "parameters are left out because the loops cannot close with them: left_motor" in planned.stderr
+
+
+def test_corrected_commands_are_a_plan(answer: Answer, run: Run, tmp_path: Path) -> None:
+    """Of a robot whose commands are its joints, given by commands: only the corrected ones are written."""
+    robot = ("--robot", str(MACHINES / "five_bar"))
+    answer("measure", *robot, "--poses", "12", "--world", "geometry", "--out", "m.csv", cwd=tmp_path)
+    answer("calibrate", "m.csv", *robot, "--method", "lm", "--out", "found", cwd=tmp_path)
+    poses = pm.reachable_poses(pm.load(MACHINES / "five_bar"), 5, np.random.default_rng(0), margin=0.2)
+    rows = "\n".join(f"{first!r},{second!r}" for first, second in poses.commands.tolist())
+    (tmp_path / "wanted.csv").write_text(f"u1_rad,u2_rad\n{rows}\n")
+    done = run("compensate", "--calibration", "found", "--poses", "wanted.csv", "--out", "plan.csv", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    header = (tmp_path / "plan.csv").read_text().splitlines()[0].split(",")
+    assert header[:2] == ["left_motor_deg", "right_motor_deg"]
+    assert not {"u1_rad", "u2_rad"} & set(header)
+    measured = answer("measure", *robot, "--plan", "plan.csv", "--out", "again.csv", cwd=tmp_path)
+    assert measured["poses"] == 5

@@ -53,6 +53,21 @@ def test_what_must_touch_touches(name: str, errors: GeometricErrors, tmp_path: P
     assert len(again) == len(seen)
 
 
+@pytest.mark.parametrize(("name", "point"), [("probe", (0.01, -0.02, 0.03)), ("camera", None)])
+def test_a_plan_estimates_what_a_calibration_does(
+    name: str, point: tuple[float, float, float] | None, errors: GeometricErrors, tmp_path: Path
+) -> None:
+    """The places of targets on the tool too, unless they are known."""
+    units = tuple(command.unit for command in errors.robot.commands)
+    for known in ({}, {"target_sigma": 0.0}):
+        found = plan_measurements(errors, 10, instrument=name, point=point, candidates=60, machines=0, **known)
+        seen = planned_measurements(found.poses, found.problem.instrument)
+        path = write_measurements(seen, errors.robot, tmp_path / "planned.csv")
+        read = Nuisances.from_measurements(read_measurements(path, errors.robot, **known), units)
+        assert found.problem.nuisances.names == read.names
+        assert any("target" in each for each in read.names) == (not known)
+
+
 def test_wires_from_known_points(errors: GeometricErrors) -> None:
     """Points that were measured beforehand are not estimated: twelve numbers more for the machine."""
     centres = ((0.3, 0.0, 0.4), (-0.2, 0.3, 0.4), (-0.2, -0.3, 0.5), (0.0, 0.0, 0.9))

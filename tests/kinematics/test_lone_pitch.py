@@ -1,4 +1,4 @@
-"""ry alone has a sine, but no sign of its cosine: angles beyond 90 degrees are refused, not answered by mirrored ones."""
+"""ry alone has a sine, but no sign of its cosine: beyond 90 degrees it is refused, not answered by a mirrored angle."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Engine
-
 
 HOME = (0.4, -0.9, 0.6)  # with all joints at zero
 

@@ -13,10 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.exceptions import DescriptionError, MeasurementError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import PROFILES, ColumnMap
-from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
+from pm3dof_pin.measuring.measurement_file import read_measurements, read_plan, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 
+FIVE_BAR = Path(__file__).parents[1] / "machines" / "five_bar"
 HEADER = "u1_m,u2_m,u3_m,x_m,y_m,z_m"
 
 
@@ -327,3 +330,20 @@ def _damaged(text: str, generator: random.Random) -> tuple[bytes, int | None]:
             text.replace("\n", "\r"),
         ]
     ).encode(), None
+
+
+def test_commands_have_the_names_of_drives(tmp_path: Path) -> None:
+    """In any unit, as corrected commands are written; beside numbered ones they are ambiguous."""
+    robot, path = Robot.load(FIVE_BAR), tmp_path / "named.csv"
+    poses = reachable_poses(robot, 8, np.random.default_rng(1))
+    angles, places = np.degrees(poses.commands).tolist(), poses.positions.tolist()
+    rows = [[*map(repr, u), *map(repr, x)] for u, x in zip(angles, places, strict=True)]
+    path.write_text(table("left_motor_deg,Right_Motor [deg],x_m,y_m,z_m", rows))
+    np.testing.assert_allclose(read_measurements(path, robot).commands, poses.commands, atol=1e-12)
+    np.testing.assert_allclose(read_plan(path, robot)[0], poses.commands, atol=1e-12)
+    path.write_text(table("u1_deg,left_motor_deg,right_motor_deg,x_m,y_m,z_m", [[row[0], *row] for row in rows]))
+    with pytest.raises(MeasurementError, match="line 1: u1_deg, left_motor_deg: expected one column of u1"):
+        read_measurements(path, robot)
+    path.write_text(table("left_motor,right_motor_deg,x_m,y_m,z_m", rows))
+    with pytest.raises(MeasurementError, match="left_motor without a unit"):
+        read_measurements(path, robot)

@@ -157,7 +157,7 @@ def test_the_commands_know_a_new_instrument(tmp_path: Path, run: Callable[..., A
     few = ("--poses", "30", "--candidates", "60", "--machines", "2", "--out", "plan.csv")
     planned = run("calibration-plan", *robot, *words, *few, "--json", cwd=tmp_path)
     assert planned.returncode == 0, planned.stderr
-    assert json.loads(planned.stdout)["estimated_beside_them"] == ["bar"]
+    assert json.loads(planned.stdout)["estimated_beside_them"] == ["targets", "bar"]
     measured = run("measure", *robot, *words, "--plan", "plan.csv", "--out", "seen.csv", cwd=tmp_path)
     assert measured.returncode == 0, measured.stderr
     assert "30 rows (eddy-current)" in measured.stdout

@@ -11,7 +11,7 @@ import numpy as np
 from pm3dof_pin.measuring.datum import DatumKind
 from pm3dof_pin.measuring.instrument import Instrument, PlacedDatum, as_points
 from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
-from pm3dof_pin.measuring.registration import fitted_sphere
+from pm3dof_pin.measuring.registration import fitted_spheres
 from pm3dof_pin.typing import Array
 
 BALLBAR_LENGTH = 0.15
@@ -30,7 +30,7 @@ def _directions(points: Array) -> Array:
 
 
 def _start(points: Array, values: Array) -> list[tuple[Array, Array]]:
-    return [(np.eye(3), fitted_sphere(points, values[:, 0]))]
+    return [(np.eye(3), centre) for centre in fitted_spheres(points, values[:, 0])]
 
 
 SPHERE = DatumKind(
@@ -46,6 +46,7 @@ SPHERE = DatumKind(
     sigma_column="sigma_distance_m",
     read=lambda cells: (cells, 1.0),
     written=lambda numbers: numbers,
+    round=True,
 )
 """A sphere, its centre unknown."""
 

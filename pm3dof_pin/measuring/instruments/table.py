@@ -52,6 +52,7 @@ def placed_instrument(
     length: float | None = None,
     known_centres: bool = False,
     joints: tuple[str, ...] = (),
+    target_sigma: float = 0.0,
 ) -> Instrument:
     """Return an instrument of a name, placed where it sees or touches given poses.
 
@@ -66,6 +67,7 @@ def placed_instrument(
         length: length of a ballbar [m].
         known_centres: whether the centres were measured beforehand.
         joints: passive joints that are locked.
+        target_sigma: prior standard deviation of the target's coordinates [m]; 0 if known exactly.
 
     Raises:
         InvalidValueError: an unknown name, too many centres, a length or noise that is not positive, known centres
@@ -77,4 +79,4 @@ def placed_instrument(
     if known_centres and not (centres and kind.datum is SPHERE):
         raise InvalidValueError("known centres", problem="are not given", expected="those of wires or a ballbar")
     found = kind.placed(Setting(poses, kind.sigma if sigma is None else sigma, point, centres, length, joints))
-    return replace(found, known_centres=known_centres)
+    return replace(found, known_centres=known_centres, target_sigma=target_sigma)
