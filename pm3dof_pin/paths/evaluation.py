@@ -353,12 +353,12 @@ class PathEvaluation:
             return commands
         control, eta = motions.tool[known][:, :, order], self._eta
         wanted, start = poses.transforms[known], poses.commands[known]
-        found = start + scales * best_commands(control, deflection[known], eta)
+        found = start + scales * best_commands(control, deflection[known], eta, robot.tool_motions)
         for _ in range(2 if self.options.large else 1):
             reached = robot.forward(found, guess=poses.q[known], on_failure="nan")
             loaded = self._deflection(reached, compliance(robot, reached, on_failure="nan"), wrenches[known])
             left = pose_difference(wanted, moved_pose(reached.transforms, loaded))
-            found = found + scales * best_commands(control, np.nan_to_num(left), eta)
+            found = found + scales * best_commands(control, np.nan_to_num(left), eta, robot.tool_motions)
         commands[known] = found
         return commands
 
