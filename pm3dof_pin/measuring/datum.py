@@ -109,10 +109,10 @@ class Datum:
             raise nowhere from error
         if not np.isfinite([*found.origin, *found.axes.ravel()]).all():
             raise nowhere
-        return found._above_a_plane(points[own]).at_its_depth(points)
+        return found.above_a_plane(points[own]).at_its_depth(points)
 
-    def _above_a_plane(self, points: Array) -> Datum:
-        """Return a sphere with its height above the plane of the points seen, if they are in one."""
+    def above_a_plane(self, points: Array) -> Datum:
+        """Return a sphere with its height above the plane of the points seen, shape=(n, 3) [m], if they are in one."""
         if not self.kind.round or len(points) < len(self.axes):
             return self
         middle, axes = points.mean(axis=0), axes_of_extents(points)

@@ -343,6 +343,7 @@ def control_program(
     is_accepted = is_accepted & ~goes_on & ~begins
     is_rejected = ~(goes_on | is_accepted | begins)
     is_beyond = is_rejected & is_closed & (less(0.5, absolute(own_mode - mode)) | ~is_same_side)
+    barrier = select(is_beyond, minimum(now["barrier"], goal), now["barrier"])
     reached = _each(is_accepted, _each(ends_singular, now["q"], found), now["reached"])  # a singular step opens loops
     earlier = _each(is_accepted, now["reached"], now["earlier"])
     last = select(is_accepted, goal - done, last)
@@ -353,11 +354,12 @@ def control_program(
     way = regular / maximum(narrowing, _SLOWEST)  # to a singular configuration, if nothing changes
     from_singular = begins & less(regularity, WALK.regularity)
     step = select(from_singular, step, minimum(step, way * _NEARER))
-    is_before = less(way, now["closest"]) & ~from_singular
-    ends_there = is_before & less(1.0 - done, way * _AS_FAR)
-    following = select(less(1.0 - unit * 1.25, done + step) | ends_there, 1.0, done + step)
-    ended = select(is_rejected & less(step, now["shortest"]), select(is_closed, SINGULAR, OPEN), 1.0)
-    ended = select((is_accepted | begins) & is_before & less(following, 1.0), SINGULAR, ended)
+    is_before = (is_accepted | begins) & less(way, now["closest"]) & ~from_singular
+    looks_beyond = is_before & less(way * _AS_FAR, 1.0 - done)  # with a last leg, which tells what ends the walk
+    following = select(less(1.0 - unit * 1.25, done + step) | is_before, 1.0, done + step)
+    following = select(looks_beyond, minimum(done + way * 2.0, 1.0), following)
+    is_over = less(step, now["shortest"]) | less(now["barrier"], 0.0)
+    ended = select(is_rejected & is_over, select(is_closed, SINGULAR, OPEN), 1.0)
     ended = select(is_accepted & is_last, REACHED, ended)
     ended = select(begins & ~(less(-1.5, now["count"]) & less(margin, 2.0)), TOO_FAR, ended)
 
@@ -371,7 +373,7 @@ def control_program(
         "jump": select(goes_on, jump, 0.0),
         "given": _each(goes_on, now["given"], objects(between)),
         **{"reached": reached, "earlier": earlier, "mode": mode},
-        **{"barrier": select(is_beyond, minimum(now["barrier"], goal), now["barrier"]), "done": done},
+        **{"barrier": select(looks_beyond, -1.0, barrier), "done": done},
         **{"step": step, "last": last, "goal": select(goes_on, goal, following)},
         **{"regularity": regular, "narrowing": narrowing, "count": select(goes_on, count, 0.0)},
         **{"singular": select(ends_singular & is_accepted, 1.0, 0.0), "status": ended},
