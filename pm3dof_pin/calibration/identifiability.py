@@ -169,12 +169,11 @@ def _rank(blocks: Array, nuisances: Array) -> int:
     return int(np.sum(values > REGRESSOR_TOLERANCE * values.max(initial=0.0)))
 
 
-def _visible(blocks: Array) -> Array:
-    """Return the regressor in the directions that any of its poses sees, shape=(n, rows of a pose, directions)."""
-    matrix = blocks.reshape(-1, blocks.shape[2])
-    _, values, right = np.linalg.svd(np.linalg.qr(matrix, mode="r"), full_matrices=False)
-    seen = values > np.finfo(float).eps * values.max(initial=0.0)
-    return np.asarray(blocks @ right[seen].T)
+def seen_directions(rows: Array, least: float = 0.0) -> Array:
+    """Return orthonormal directions, as columns, with singular values of the rows above rounding and `least`."""
+    _, values, right = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=False)
+    seen = values > max(least, rows.shape[1] * np.finfo(float).eps * values.max(initial=0.0))
+    return np.asarray(right[seen].T)
 
 
 def minimum_poses(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> int:
@@ -185,7 +184,7 @@ def minimum_poses(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> i
     """
     blocks = np.asarray(regressor, dtype=float)
     others = np.zeros((*blocks.shape[:2], 0)) if nuisances is None else np.asarray(nuisances, dtype=float)
-    blocks = _visible(blocks)
+    blocks = blocks @ seen_directions(blocks.reshape(-1, blocks.shape[2]))
     full = _rank(blocks, others)
     too_few: int = max(0, -(-full // blocks.shape[1]) - 1)
     enough, step = min(len(blocks), too_few + 1), 1

@@ -33,7 +33,7 @@ from pm3dof_pin.calibration.candidate_information import CandidateInformation, C
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.fit import Method
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
-from pm3dof_pin.calibration.identifiability import Identifiability, stacked_regressor
+from pm3dof_pin.calibration.identifiability import Identifiability, seen_directions, stacked_regressor
 from pm3dof_pin.calibration.identification import PRIOR
 from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing
 from pm3dof_pin.errors.error_budget import error_budget
@@ -233,10 +233,7 @@ class PlanningProblem:
         if size < _LARGE:
             return self._rows, None
         deviations = np.diag(self._prior) ** -0.5
-        triangle = np.linalg.qr(self._rows.reshape(-1, size) * deviations, mode="r")
-        _, values, right = np.linalg.svd(triangle, full_matrices=False)
-        seen = values > max(_UNSEEN, size * np.finfo(float).eps * values[0])
-        directions = deviations[:, None] * right[seen].T
+        directions = deviations[:, None] * seen_directions(self._rows.reshape(-1, size) * deviations, _UNSEEN)
         return self._rows @ directions, directions
 
     def information(self, indices: ArrayLike) -> Array:

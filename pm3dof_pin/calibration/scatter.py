@@ -62,9 +62,9 @@ class Scatter:
     #: d is proportional to the square of these, shape=(drives,); and the covariance of a, b and that factor
     alike: Array = field(default_factory=lambda: np.zeros(0))
     uncertainty: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    #: factor on the scatter in bounds; above 1 if fewer held-out poses than promised are within bounds without it
     #: 1 for components of the tip error that count, 0 for others: orientations that do not, shape=(6,)
     counted: Array = field(default_factory=lambda: np.ones(6))
+    #: factor on the scatter in bounds; above 1 if fewer held-out poses than promised are within bounds without it
     tails: float = 1.0
     long_tailed: bool = False  #: whether chance hardly explains that: errors have longer tails than normal ones
 

@@ -122,11 +122,11 @@ def _with_surplus(
         if not _holds(equations, system, tuple(sorted(earlier))):
             result += [system] if system.unknowns else []
             continue
-        group, later = [s for s in result if set(s.unknowns) & earlier], list[LoopSystem]()
+        group = [s for s in result if set(s.unknowns) & earlier]
         while True:
             unknowns = {k for s in group for k in s.unknowns}
             needed = {k for s in (*group, system) for k in moved_by(s)}
-            later = []
+            later = list[LoopSystem]()
             for other in (s for s in result if s not in group):
                 if moved_by(other) & unknowns.union(*(s.unknowns for s in later)):
                     later.append(other)

@@ -65,7 +65,7 @@ class G33Reports:
             radius: of the circle if neither a report nor R says it [mm].
 
         Raises:
-            MeasurementError: a height is no number, may be an average, or was probed at an unknown radius.
+            MeasurementError: a height is not a number, may be an average, or was probed at an unknown radius.
         """
         if command := _COMMAND.search(line.upper()):
             words = {letter: float(value) for letter, value in _WORD.findall(command[1])}
