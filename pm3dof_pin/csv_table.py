@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pm3dof_pin.exceptions import DescriptionError, MeasurementError, lines_in_words
-from pm3dof_pin.files import read_text, without_apostrophe
+from pm3dof_pin.files import csv_text, read_text, without_apostrophe
 from pm3dof_pin.typing import Array, Mask
 
 logger = logging.getLogger(__name__)
@@ -32,6 +32,11 @@ _UNITS = {
     "ms": ("s", 1e-3),
 }
 _CONDITIONS = ("temperature_", "load_", "rise_", "gradient_")
+
+
+def csv_of_columns(columns: Mapping[str, Array]) -> str:
+    """Return columns of numbers, shape=(n,) each, as CSV at full precision; NaN is an empty cell."""
+    return csv_text([list(columns), *np.column_stack(list(columns.values())).tolist()])
 
 
 def is_condition(column: str) -> bool:

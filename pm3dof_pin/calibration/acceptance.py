@@ -34,7 +34,7 @@ from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, Measureme
 from pm3dof_pin.files import csv_text, read_text, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
-from pm3dof_pin.measuring.measurement_file import command_columns
+from pm3dof_pin.measuring.joint_columns import command_columns
 from pm3dof_pin.typing import Array
 
 AcceptanceTest = Literal["positioning", "diagonals", "circular", "probing"]

@@ -22,7 +22,8 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import CalibrationRefusedError
 from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.measuring.instruments.table import datum_kinds
-from pm3dof_pin.measuring.measurement_file import command_columns, read_measurements, write_measurements
+from pm3dof_pin.measuring.joint_columns import command_columns
+from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 

@@ -24,7 +24,7 @@ from pm3dof_pin.cli.instrument_options import TRACKER, InstrumentOptions
 from pm3dof_pin.cli.options import Json, KnownWrenches
 from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
-from pm3dof_pin.measuring.measurement_file import read_plan, write_plan
+from pm3dof_pin.measuring.plan_file import read_plan, write_plan
 
 COUNTS = (3, 6, 9, 12, 20, 40, 60)
 

@@ -28,7 +28,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.pose_file import readings
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import coordinate_scales
-from pm3dof_pin.measuring.measurement_file import drive_names
+from pm3dof_pin.measuring.joint_columns import drive_names
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array

@@ -31,7 +31,7 @@ from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.maps.datasets import write_map
 from pm3dof_pin.maps.grid_map import LEAST_SENSITIVE, budget_map, error_section, errors_over, whole_workspace_grid
 from pm3dof_pin.maps.limit_space import limits_over
-from pm3dof_pin.measuring.measurement_file import write_plan
+from pm3dof_pin.measuring.plan_file import write_plan
 
 _CLASSES = {
     "kinematic parameters": "quasi-static: kinematic parameters",

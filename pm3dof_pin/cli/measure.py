@@ -17,7 +17,8 @@ from pm3dof_pin.errors.pose_error import rotation_matrix
 from pm3dof_pin.exceptions import ConvergenceError, OutputError, PM3DofError, UnreachablePoseError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.measurement_file import read_plan, write_measurements
+from pm3dof_pin.measuring.measurement_file import write_measurements
+from pm3dof_pin.measuring.plan_file import read_plan
 from pm3dof_pin.measuring.registration import Registration
 from pm3dof_pin.simulation.worlds import World
 from pm3dof_pin.typing import Array, Mask

@@ -12,7 +12,8 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
 from pm3dof_pin.measuring.instruments.table import datum_kinds
-from pm3dof_pin.measuring.measurement_file import command_columns, drive_names, read_measurements
+from pm3dof_pin.measuring.joint_columns import command_columns, drive_names
+from pm3dof_pin.measuring.measurement_file import read_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Mask

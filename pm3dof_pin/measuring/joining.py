@@ -14,7 +14,7 @@ from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.angles import replace_angles
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
-from pm3dof_pin.measuring.measurement_file import command_columns, drive_names
+from pm3dof_pin.measuring.joint_columns import command_columns, drive_names
 from pm3dof_pin.typing import Array
 
 _TIME = "time_s"

@@ -1,4 +1,4 @@
-"""Files of measurements and of plans: their columns, reading them with checks, and writing them."""
+"""Files of measurements: reading them with checks, and writing them."""
 
 from __future__ import annotations
 
@@ -11,18 +11,27 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pm3dof_pin.csv_table import CsvTable, is_condition
+from pm3dof_pin.csv_table import csv_of_columns, is_condition
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, rotation_vector
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
-from pm3dof_pin.files import csv_text, write_text_atomically
-from pm3dof_pin.kinematics.pose_file import UNIT_QUATERNION
+from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.pose_file import PLACEMENT, UNIT_QUATERNION
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.angles import angle_columns, orders_of, quaternions_of_angles, replace_angles
 from pm3dof_pin.measuring.datum import Datum, DatumKind
-from pm3dof_pin.measuring.export_file import ColumnMap, Export
+from pm3dof_pin.measuring.export_file import ColumnMap
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO, Instrument
 from pm3dof_pin.measuring.instruments.table import datum_kinds
+from pm3dof_pin.measuring.joint_columns import (
+    ENCODER,
+    approach_columns,
+    checked_commands,
+    command_columns,
+    commands_table,
+    encoder_column,
+    start_columns,
+)
 from pm3dof_pin.measuring.measurements import Measurements, joint_coordinates
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register
 from pm3dof_pin.tolerances import SAME
@@ -31,18 +40,16 @@ from pm3dof_pin.typing import Array, Indices, Mask
 TARGET_POINT_SIGMA = 1e-3
 """Default prior standard deviation of a file's target positions, per coordinate [m]."""
 
-_POSITION = ("x_m", "y_m", "z_m")
-_QUATERNION = ("qw", "qx", "qy", "qz")
+_POSITION, _QUATERNION = PLACEMENT[:3], PLACEMENT[3:]
 _POINT = ("px_m", "py_m", "pz_m")
 _SIGMAS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 _DISTANCE, _DISTANCE_SIGMA = "distance_m", "sigma_distance_m"
 _ORIGIN = ("cx_m", "cy_m", "cz_m")
-_TIME, _STATION, _ENCODER = "time_s", "station", "encoder_"
+_TIME, _STATION = "time_s", "station"
 
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 _MIN_SIGMA = 1e-12  # [m, rad]
 _FAR_LESS = 1e-3  # relative to the other sigmas of a column: such a row would outweigh all others
-_BEYOND_LIMITS = 0.2  # of a joint's range
 _FAR_OFF = 0.05  # of the distance from the base to the tool: more than any tolerance explains
 _FAR_POINTS = 30.0  # times the machine's size
 _CLEARLY = 3.0  # times nearer than other orders of angles
@@ -50,35 +57,6 @@ _TURNED = 0.1  # [rad]: more than any tolerance explains
 _THOUSANDFOLD = 300.0
 _FAR_READING = 6.0  # times the standard deviation of an encoder's zero
 _OWN_FRAME = "use --own-frame for an instrument with its own frame"
-
-
-def command_columns(robot: Robot) -> tuple[str, ...]:
-    """Return the columns of the commands: u1_m, u2_m ... for linear drives, u1_rad ... for rotary ones."""
-    return tuple(f"u{k}_{unit}" for k, unit in enumerate((command.unit for command in robot.commands), start=1))
-
-
-def drive_names(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the drives, which columns of commands may have instead of u1, u2 ..."""
-    return tuple(command.name for command in robot.command_coordinates)
-
-
-def start_columns(robot: Robot) -> tuple[str, ...]:
-    """Return the columns of the commands at the pose where a distance starts: from_u1_m ..."""
-    return tuple(f"from_{name}" for name in command_columns(robot))
-
-
-def encoder_column(robot: Robot, joint: str) -> str:
-    """Return the column of a passive joint's readings, such as encoder_hinge1_left_joint_rad.
-
-    Raises:
-        InvalidValueError: the joint is driven or has several degrees of freedom.
-        JointNotFoundError: there is no such joint.
-    """
-    unit = robot.single_joint(joint).unit
-    if joint in robot.actuated_joints:
-        passive = ", ".join(robot.passive_joints) or "there is none"
-        raise InvalidValueError("encoder", joint, f"a passive joint: {passive}")
-    return f"{_ENCODER}{joint}_{unit}"
 
 
 def write_measurements(measurements: Measurements, robot: Robot, path: Path | str) -> Path:
@@ -110,8 +88,8 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
     if measurements.stations is not None:
         columns |= {_STATION: np.where(measurements.stations > 0, measurements.stations, np.nan)}
     if measurements.approaches is not None:
-        columns |= zip(_approach_columns(robot), measurements.approaches.T, strict=True)
-    return write_text_atomically(path, _columns_as_text(columns | measurements.conditions))
+        columns |= zip(approach_columns(robot), measurements.approaches.T, strict=True)
+    return write_text_atomically(path, csv_of_columns(columns | measurements.conditions))
 
 
 def _datum_columns(measurements: Measurements, columns: Mapping[str, Array]) -> dict[str, Array]:
@@ -127,35 +105,6 @@ def _datum_columns(measurements: Measurements, columns: Mapping[str, Array]) -> 
         for name, cell in zip((kind.name, *kind.columns, kind.sigma_column), cells, strict=True):
             found[name] = np.where(datum.rows, cell, found.get(name, columns.get(name, nothing)))
     return found
-
-
-def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None = None) -> Path:
-    """Write a plan as CSV at full precision: commands, loads by column, and nominal poses of the tool.
-
-    The nominal pose is that of the robot as described; the column names say that it is not a measurement.
-
-    Raises:
-        OutputError: the file cannot be written; no partial file is left.
-    """
-    columns: dict[str, Array] = dict(zip(command_columns(poses.robot), poses.commands.T, strict=True))
-    nominal = np.concatenate([poses.positions, quaternion(poses.rotations)], axis=1)
-    columns |= {f"nominal_{name}": values for name, values in zip((*_POSITION, *_QUATERNION), nominal.T, strict=True)}
-    return write_text_atomically(path, _columns_as_text(columns | dict(loads or {})))
-
-
-def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
-    """Read a plan, or any file with commands: these, and temperatures and loads by column, shape=(n,).
-
-    Returns:
-        The commands, shape=(n, number of commands) [m, rad], and the conditions.
-
-    Raises:
-        MeasurementError: the file is unreadable, a column is missing, a cell is not a number, no row is left, or a
-            temperature or load is missing in some row.
-    """
-    table = _table(Path(path), robot, None)
-    table.keep(np.asarray(np.isfinite(table.matrix(command_columns(robot))).all(axis=1)))
-    return _commands(table, robot), table.conditions()
 
 
 def read_measurements(
@@ -213,44 +162,6 @@ def read_measurements(
     return replace(read, target_sigma=target_sigma, tool_point_sigma=tool_point_sigma)
 
 
-def _approach_columns(robot: Robot) -> tuple[str, ...]:
-    """Return the columns of the drives' approach directions: approach_u1, approach_u2 ..."""
-    return tuple(f"approach_u{k}" for k in range(1, len(robot.commands) + 1))
-
-
-def _table(path: Path, robot: Robot, columns: ColumnMap | None) -> CsvTable:
-    """Read a file with commands."""
-    return Export.read(path, command_columns(robot), columns, drive_names(robot)).table(command_columns(robot))
-
-
-def _commands(table: CsvTable, robot: Robot) -> Array:
-    """Return the commands, shape=(n, number of commands) [m, rad]; refuse those far outside the joints' limits."""
-    names = command_columns(robot)
-    commands = table.matrix(names)
-    lower, upper = np.array([robot.range_of(command) for command in robot.command_coordinates]).T
-    slack = np.where(np.isfinite(upper - lower), _BEYOND_LIMITS * (upper - lower), 0.0)
-    for k, name in enumerate(names):
-        unit = name.rsplit("_", 1)[1]
-        factor, other = (1e-3, "millimetres") if unit == "m" else (np.pi / 180.0, "degrees")
-        bad, looks = (
-            ~((values >= lower[k] - slack[k]) & (values <= upper[k] + slack[k]))
-            for values in (commands[:, k], factor * commands[:, k])
-        )
-        if bad.any():
-            problem = f"{name} is far outside the joint's limits {lower[k]:.6g} .. {upper[k]:.6g} {unit}"
-            if bad.mean() > 0.5 and looks[bad].mean() < 0.5:
-                problem += f": these look like {other}"
-            raise MeasurementError(table.path, problem, table.lines_where(bad))
-    still = [name for name in names if np.ptp(table[name]) == 0.0]
-    moving = [name for name in names if name not in still]
-    if moving and still:
-        table.warn(f"{', '.join(still)} {'are' if len(still) > 1 else 'is'} the same in every row, unlike the others")
-    for first, second in itertools.combinations(moving, 2):
-        if np.array_equal(table[first], table[second]):
-            table.warn(f"{first} and {second} have the same values in every row")
-    return commands
-
-
 class _Reader:
     """Reader of one file."""
 
@@ -258,7 +169,7 @@ class _Reader:
         self._robot, self._own_frame, self._unused = robot, own_frame, set[str]()
         self._command_columns, self._start_columns = command_columns(robot), start_columns(robot)
         self._kinds = tuple(datum_kinds().values())
-        self._table = _table(path, robot, columns)
+        self._table = commands_table(path, robot, columns)
         if columns is not None and columns.angles:
             replace_angles(self._table, columns.angles)
         self._refuse_unknown_angles(own_frame)
@@ -279,7 +190,7 @@ class _Reader:
         own_frame, table = self._own_frame, self._table
         points = table.matrix(_POINT, missing=0.0)
         self._warn_of_copies(points)
-        commands = _commands(table, self._robot)
+        commands = checked_commands(table, self._robot)
         rotations = self._rotations()
         size, off = self._robot.characteristic_length, np.median(np.linalg.norm(points, axis=1))
         if off > _FAR_POINTS * size:
@@ -363,7 +274,7 @@ class _Reader:
         for joint in robot.passive_joints:
             with contextlib.suppress(InvalidValueError):  # several degrees of freedom
                 columns[encoder_column(robot, joint)] = joint
-        names = [name for name in header if name.removeprefix("sigma_").startswith(_ENCODER)]
+        names = [name for name in header if name.removeprefix("sigma_").startswith(ENCODER)]
         if wrong := [name for name in names if name.removeprefix("sigma_") not in columns]:
             expected = ", ".join(columns) or f"none: {robot.name} has no passive joint"
             self._refuse(f"line 1: {', '.join(wrong)}: expected columns of passive joints, {expected}")
@@ -374,7 +285,7 @@ class _Reader:
 
         Some positions alone, or orientations alone, are enough if no other column could hold the rest.
         """
-        header, approaches = self._table.header, _approach_columns(self._robot)
+        header, approaches = self._table.header, approach_columns(self._robot)
         positions = tuple(name for name in _POSITION if name in header)
         beside = (*_POINT, *_SIGMAS[:3]) if positions else (*_QUATERNION, *_SIGMAS[3:])
         known = {*self._command_columns, *positions, *beside, _TIME, *approaches}
@@ -704,7 +615,7 @@ class _Reader:
         )
 
     def _approaches(self, commands: Array) -> Array | None:
-        names = _approach_columns(self._robot)
+        names = approach_columns(self._robot)
         if names[0] in self._table:
             approaches = self._table.matrix(names)
             wrong = ~np.isin(approaches, (-1.0, 0.0, 1.0)).all(axis=1)
@@ -720,12 +631,3 @@ class _Reader:
             last = np.where(np.abs(moved) > SAME, np.sign(moved), last)
             approaches[row] = last
         return approaches
-
-
-def _columns_as_text(columns: Mapping[str, Array]) -> str:
-    """Return columns of numbers as CSV at full precision; NaN is an empty cell.
-
-    Args:
-        columns: by name, shape=(n,) each.
-    """
-    return csv_text([list(columns), *np.column_stack(list(columns.values())).tolist()])

@@ -19,7 +19,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.datum import Datum
 from pm3dof_pin.measuring.instrument import Instrument, PlacedDatum
 from pm3dof_pin.measuring.instruments.kind import TOUCHING
-from pm3dof_pin.measuring.measurement_file import encoder_column
+from pm3dof_pin.measuring.joint_columns import encoder_column
 from pm3dof_pin.measuring.measurements import Measurements, joint_coordinates
 from pm3dof_pin.typing import Array
 

@@ -19,7 +19,7 @@ from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.measurement_file import command_columns, start_columns
+from pm3dof_pin.measuring.joint_columns import command_columns, start_columns
 
 TOWERS = [f"carriage{tower}_joint.t{axis}" for tower in (1, 2, 3) for axis in "xyz"]
 RODS = [f"rod{tower}_{side}_tip.tz" for tower in (1, 2, 3) for side in ("left", "right")]

@@ -24,7 +24,7 @@ from pm3dof_pin.calibration.acceptance import (
 from pm3dof_pin.calibration.certificate import SCHEMA, Certificate
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError
 from pm3dof_pin.measuring.export_file import ColumnMap
-from pm3dof_pin.measuring.measurement_file import read_plan
+from pm3dof_pin.measuring.plan_file import read_plan
 
 MICROMETRE = 1e-6
 

@@ -309,7 +309,7 @@ def _read_plan(folder: Path) -> None:
     import numpy as np
 
     from pm3dof_pin.kinematics.robot import load
-    from pm3dof_pin.measuring.measurement_file import read_plan
+    from pm3dof_pin.measuring.plan_file import read_plan
 
     _require(np.isfinite(read_plan(folder / "plan.csv", load(folder.name))[0]).all(), "commands")
 

@@ -30,7 +30,7 @@ from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.measurement_file import command_columns
+from pm3dof_pin.measuring.joint_columns import command_columns
 from pm3dof_pin.typing import Array
 
 MACHINES = Path(__file__).parents[1] / "machines"

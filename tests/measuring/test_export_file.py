@@ -16,8 +16,9 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import PROFILES, ColumnMap
-from pm3dof_pin.measuring.measurement_file import read_measurements, read_plan, write_measurements
+from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.plan_file import read_plan
 
 FIVE_BAR = Path(__file__).parents[1] / "machines" / "five_bar"
 HEADER = "u1_m,u2_m,u3_m,x_m,y_m,z_m"

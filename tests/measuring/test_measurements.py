@@ -12,8 +12,10 @@ from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.measuring.measurement_file import command_columns, read_measurements, read_plan, write_measurements
+from pm3dof_pin.measuring.joint_columns import command_columns
+from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.plan_file import read_plan
 
 HEADER = "u1_m,u2_m,u3_m,x_m,y_m,z_m,qw,qx,qy,qz"
 

@@ -19,7 +19,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.plan_accuracy import plan_accuracy
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.measuring.measurement_file import write_plan
+from pm3dof_pin.measuring.plan_file import write_plan
 
 FEW = ("--candidates", "150", "--seed", "3")
 
