@@ -40,6 +40,12 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
         raise InvalidValueError(name, values, "real numbers") from error
 
 
+def median(values: ArrayLike) -> Any:
+    """Return the median of finite numbers along the first axis; NumPy's own loads numpy.ma, which takes 20 ms."""
+    ordered = np.sort(values, axis=0)
+    return 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+
+
 def _objects(array: NDArray[Any]) -> Iterable[Any]:
     return array.flat if array.dtype.kind == "O" else ()
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pm3dof_pin.arrays import median
 from pm3dof_pin.tolerances import MIN_LEVER
 from pm3dof_pin.typing import Array, Mask, Matrix
 
@@ -149,7 +150,7 @@ def _holds(equations: Sequence[LoopEquations], system: LoopSystem, earlier: tupl
         return False
     basis = np.linalg.qr(own[finite])[0]
     rest = others[finite] - basis @ (np.swapaxes(basis, 1, 2) @ others[finite])
-    return bool(np.quantile(np.abs(rest).max(axis=(1, 2)), 0.5) > _SURPLUS)
+    return bool(median(np.abs(rest).max(axis=(1, 2))) > _SURPLUS)
 
 
 def joined(
@@ -199,7 +200,7 @@ def _system(equations: Sequence[LoopEquations], members: tuple[int, ...], unknow
     if not 0 < columns <= rows or not samples:
         return LoopSystem(members, unknowns, False, None)
     singular = np.linalg.svd(matrices, compute_uv=False)
-    is_determined = bool(np.quantile(singular[:, -1], 0.5) > RANK * np.quantile(singular[:, 0], 0.5))
+    is_determined = bool(median(singular[:, -1]) > RANK * median(singular[:, 0]))
     return LoopSystem(members, unknowns, is_determined, _essential_rows(matrices) if is_determined else None)
 
 
