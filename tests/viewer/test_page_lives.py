@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -88,10 +89,10 @@ def test_without_webgl_there_is_a_picture_and_a_sentence(
 
 
 def test_a_restarted_server_is_found_again(page: Any, load: Callable[[str], Robot], tmp_path: Path) -> None:
-    with Viewer(load("hexapod")) as first:
-        url = first.start()
-        page.open(url)
-        port = int(url.rstrip("/").rpartition(":")[2])
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]  # one that no other process takes next, as it does the first free one from 7000
+    with Viewer(load("hexapod"), port=port) as first:
+        page.open(first.start())
     wait_for(page, "document.getElementById('note').innerText.includes('has ended')")
     moved = page.ask("(pm3dof.slide(2, 0.137), pm3dof.pose().tool[2])")
     assert moved == pytest.approx(0.137, abs=1e-9)
