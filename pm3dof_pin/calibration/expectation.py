@@ -17,7 +17,7 @@ import scipy
 from pm3dof_pin.calibration.fit import Fit
 from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
-from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
+from pm3dof_pin.calibration.pseudo_error import motions_seen, seen_errors
 from pm3dof_pin.calibration.scatter import COVERAGE
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
 from pm3dof_pin.errors.pose_error import pose_difference
@@ -199,10 +199,10 @@ def _unseen(calibration: Fit) -> list[str]:
     found = calibration.identification
     shown = found.settled.visits
     nominal = calibration.compensation.errors.robot.forward(shown.commands)
-    seen = int(np.linalg.matrix_rank(control_inverse(pseudo_errors(found.settled, nominal).control)).max())
-    drives, hidden = nominal.commands.shape[1], []
-    if seen < drives:
-        hidden.append(f"{drives - seen} of the {drives} motions of the drives at a pose, known only from the model")
+    seen, possible = motions_seen(found.settled, nominal)
+    hidden = []
+    if seen < possible:
+        hidden.append(f"{possible - seen} of the {possible} motions of the drives at a pose, known only from the model")
     missing = len(found.identifiability.names) - found.identifiability.identified
     if missing:
         hidden.append(f"{missing} combinations of parameters, listed in the report")

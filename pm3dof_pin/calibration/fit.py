@@ -17,7 +17,7 @@ from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.identification import ROUGHLY, Identification, identify
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_model
 from pm3dof_pin.calibration.linearisation import Loss
-from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
+from pm3dof_pin.calibration.pseudo_error import control_inverse, motions_seen, pseudo_errors
 from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.calibration.session_effects import SessionEffects
 from pm3dof_pin.errors.command_correction import weighted_control
@@ -220,11 +220,10 @@ def compensation_from(
 
 def _unseen_motions(measurements: Measurements, nominal: Poses, options: Options) -> Iterator[str]:
     """Say which motions of the drives the measurements do not show."""
-    found = pseudo_errors(measurements, nominal, options.eta)
-    seen, drives = int(np.linalg.matrix_rank(control_inverse(found.control)).max()), found.control.shape[2]
-    if seen < drives and not measurements.joints:  # encoders show more, but of the tool only by the model
+    seen, possible = motions_seen(measurements, nominal, options.eta)
+    if seen < possible and not measurements.joints:  # encoders show more, but of the tool only by the model
         advice = "" if measurements.measured == "pose" else ": measure poses, or targets away from the tool point"
-        yield f"each measurement shows {seen} of the {drives} motions of the drives{advice}"
+        yield f"each measurement shows {seen} of the {possible} motions of the drives{advice}"
     if options.learns and measurements.points.any():
         yield "a single target does not show full poses, so a learned correction is poor; use method lm"
 

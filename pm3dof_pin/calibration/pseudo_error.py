@@ -101,6 +101,13 @@ def control_inverse(control: Array, seen: float = SEEN) -> Array:
     return np.asarray(np.linalg.pinv(control, rcond=seen))
 
 
+def motions_seen(measurements: Measurements, nominal: Poses, eta: float = TIP_LENGTH) -> tuple[int, int]:
+    """Return how many independent motions of the tool by its drives a measurement shows at most, and their number."""
+    moved = pseudo_errors(measurements, nominal, eta).control, weighted_control(nominal, eta)
+    seen, possible = (int(np.linalg.matrix_rank(control_inverse(control)).max()) for control in moved)
+    return seen, possible
+
+
 def pseudo_errors(
     measurements: Measurements, model: Poses, eta: float = TIP_LENGTH, *, seen: float = SEEN
 ) -> PseudoErrors:

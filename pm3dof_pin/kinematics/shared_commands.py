@@ -27,6 +27,7 @@ _CONTRADICTION = 2e-3  # greatest one that errors of a machine explain, of a rob
 _OF_ERRORS = 0.05  # the same of a machine with errors
 # ways to other starts, where commands change least
 _VALLEY = (0.1, -0.1, 0.2, -0.2, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2, 0.3, -0.3, 0.6, -0.6, 1.6, -1.6)
+_CLEARLY = 0.9  # times as far off: then another pose is taken; that of a symmetric machine differs by rounding
 _STEPS = 30
 _SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # factors tried in turn on a step that does not reduce the error
 _FARTHEST = 0.3  # of a coordinate in one step [rad, characteristic lengths]
@@ -121,11 +122,11 @@ class SharedCommands:
     def _improve(
         self, answer: Matrix, off: Vector, rows: Indices, commands: Matrix, starts: Matrix, *, keep_branch: bool
     ) -> None:
-        """Replace some rows of poses, in place, by those found from starts if their commands are less far off."""
+        """Replace some rows of poses, in place, by those found from starts whose commands are clearly less far off."""
         if rows.size:
             found = self._least_squares(commands[rows], starts, keep_branch=keep_branch)
             left = self._off(found, commands[rows])
-            better = left < off[rows]
+            better = left < _CLEARLY * off[rows]
             answer[rows[better]], off[rows[better]] = found[better], left[better]
 
     def _read(self, q: Matrix, moves: Array) -> Array:

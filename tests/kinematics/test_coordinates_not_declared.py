@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
@@ -90,6 +91,48 @@ def test_least_squares_are_the_same_from_other_starts_near_singular_poses_too(fo
     assert beside.solved.mean() > 0.98
     again = machine.forward(poses.commands[beside.solved], guess=beside.q[beside.solved])
     np.testing.assert_allclose(again.coordinates, found.coordinates[beside.solved], atol=2e-8)
+
+
+def test_of_two_poses_that_fit_alike_the_one_near_home_is_taken(tmp_path: Path) -> None:
+    """A platform on four telescopic legs, alike by quarter turns: two poses are off from the commands by as much."""
+    angles = 0.5 * np.pi * np.arange(4)
+    pivots, corners = (
+        r * np.stack([np.cos(angles + a), np.sin(angles + a)], axis=1) for r, a in ((0.3, 0), (0.08, 0.9))
+    )
+    lines = corners - pivots
+    lengths, turns = np.linalg.norm(lines, axis=1), np.arctan2(lines[:, 1], lines[:, 0])
+    parts = ['<link name="base"/>']
+
+    def join(name: str, kind: str, parent: str, at: ArrayLike, axis: str = "0 0 1", turn: float = 0.0) -> None:
+        x, y = np.asarray(at, dtype=float).tolist()
+        parts.append(
+            f'<link name="{name}"/><joint name="{name}_joint" type="{kind}"><parent link="{parent}"/>'
+            f'<child link="{name}"/><origin xyz="{x} {y} 0" rpy="0 0 {turn}"/><axis xyz="{axis}"/>'
+            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+        )
+
+    join("x", "prismatic", "base", [0, 0], "1 0 0")
+    join("y", "prismatic", "x", [0, 0], "0 1 0")
+    join("platform", "revolute", "y", [0, 0])
+    for k in range(4):
+        join(f"barrel{k}", "revolute", "base", pivots[k], turn=turns[k])
+        join(f"rod{k}", "prismatic", f"barrel{k}", [0, 0], "1 0 0")
+        join(f"end{k}", "fixed", f"rod{k}", [lengths[k], 0])
+        join(f"corner{k}", "fixed", "platform", corners[k])
+    (tmp_path / "legs.urdf").write_text(f'<robot name="legs">{"".join(parts)}</robot>')
+    loops = ", ".join(f"[end{k}, corner{k}]" for k in range(4))
+    drives = ", ".join(f"rod{k}_joint" for k in range(4))
+    text = f"closed_loop: [{loops}]\ntype: [3d, 3d, 3d, 3d]\nname_mot: [{drives}]\ntool_frame: platform\n"
+    (tmp_path / "legs.closures.yaml").write_text(text)
+    generator = np.random.default_rng(0)
+    values = generator.uniform([-0.06, -0.06, -0.25], [0.06, 0.06, 0.25], (100, 3))
+    shifts = np.stack([np.cos(values[:, 2]), np.sin(values[:, 2])], axis=1)
+    turned = np.stack(
+        [shifts @ (corners * [1, -1]).T, np.stack([shifts[:, 1], shifts[:, 0]], axis=1) @ corners.T], axis=2
+    )
+    commands = np.linalg.norm(values[:, None, :2] + turned - pivots, axis=2) - lengths
+    found = Robot.load(tmp_path / "legs.urdf").forward(commands + 1e-6 * generator.normal(size=commands.shape))
+    np.testing.assert_allclose(found.coordinates, values, atol=1e-4)
 
 
 def test_commands_that_contradict_each_other_are_refused(four_rrr: Robot) -> None:
