@@ -31,6 +31,8 @@ _KEPT = "_random_draws"
 _WALKERS = 64
 _TO_FORGET_HOME = 16  # steps of a walk, for each dimension
 _STEPS_APART = 4  # between poses of one walk, for each dimension
+_ALONG = 2.38 / np.sqrt(2.0)  # times the difference of two walks, about the best, in one dimension
+_NOWHERE = 1e-5  # part of the ranges: a step that leads out of the limits from everywhere, as from a home outside
 _TAKEN = 0.3  # part of the steps that lead to poses within limits, about the best for walks in many dimensions
 
 
@@ -96,24 +98,34 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
 def _walked(robot: Robot, count: int, generator: np.random.Generator, margin: float) -> Array:
     """Return poses of walks from home that stay where a step would break a limit, shape=(n, nq); none if they cannot.
 
-    Steps are as likely as their opposites, so walks are uniform in the long run (N. Metropolis et al., 1953).
+    Steps are as likely as their opposites, so walks are uniform in the long run (N. Metropolis et al., 1953). Every
+    other step of half of the walks is the difference of two of the others, as long in each direction as there is room
+    (C. ter Braak, Statistics and Computing 16, 2006).
     """
     draws = _Draws.kept(robot, _drives_are_independent(robot), margin)
-    size, width = len(draws.lower), draws.upper - draws.lower
+    size, width, halves = len(draws.lower), draws.upper - draws.lower, np.split(np.arange(_WALKERS), 2)
     q, values = np.tile(robot.home.q, (_WALKERS, 1)), np.tile(draws.home, (_WALKERS, 1))
     length, taken, poses = 1.0 / np.sqrt(size), 0, np.zeros((0, q.shape[1]))
-    for step in range(_TO_FORGET_HOME * size + _STEPS_APART * size * math.ceil(count / _WALKERS)):
-        further = values + generator.uniform(-0.5, 0.5, values.shape) * length * width
+    along, forgotten = _ALONG / np.sqrt(size), 2 * _TO_FORGET_HOME * size
+    for step in range(forgotten + 2 * _STEPS_APART * size * math.ceil(count / _WALKERS)):
+        own, others = np.arange(_WALKERS), halves[step // 2 % 2]
+        if step % 2:
+            own = halves[1 - step // 2 % 2]
+            first, second = generator.choice(others, (2, len(own)))
+            changes = along * (values[first] - values[second])
+        else:
+            changes = generator.uniform(-0.5, 0.5, values.shape) * length * width
+        further = values[own] + changes
         inside = np.flatnonzero(((draws.lower <= further) & (further <= draws.upper)).all(axis=1))
-        found, is_within = draws.solved(further[inside], q[inside])
-        moved = inside[is_within]
-        q[moved], values[moved] = found[is_within], further[moved]
-        taken += len(moved)
-        if step < _TO_FORGET_HOME * size:  # thereafter the length is fixed
-            length *= 1.1 if len(moved) > _TAKEN * _WALKERS else 0.9
-            if step == size and not taken:
+        found, is_within = draws.solved(further[inside], q[own[inside]])
+        moved = own[inside[is_within]]
+        q[moved], values[moved] = found[is_within], further[inside[is_within]]
+        taken += len(moved) * (1 - step % 2)
+        if step < forgotten and not step % 2:  # thereafter the length is fixed
+            length *= 1.1 if len(moved) > _TAKEN * _WALKERS else 0.9 if taken else 0.5
+            if length < _NOWHERE:
                 break
-        elif (step + 1 - _TO_FORGET_HOME * size) % (_STEPS_APART * size) == 0:
+        if step >= forgotten and (step + 1 - forgotten) % (2 * _STEPS_APART * size) == 0:
             poses = np.concatenate([poses, q])
     return poses[:count]
 

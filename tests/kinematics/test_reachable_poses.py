@@ -59,3 +59,21 @@ def test_stacked_hexapods_use_all_their_drives(tmp_path: Path) -> None:
         found = reachable_poses(robot, 64, np.random.default_rng(0))
         assert found.within_limits.all()
         assert (np.ptp(found.commands, axis=0) > 0.06).all()  # of 0.1
+
+
+def test_walks_are_even_along_a_narrow_strip(tmp_path: Path) -> None:
+    """A joint that follows the sum of two drives has hardly room: along the strip the drives are uniform all the same.
+
+    Each of -1 to 1 rad but for the ends: their standard deviation is 1 / sqrt 3.
+    """
+    joint = (
+        '<link name="{0}"/><joint name="{0}_joint" type="revolute"><parent link="{1}"/><child link="{0}"/>'
+        '<origin xyz="{2} 0 0"/><axis xyz="0 0 1"/><limit lower="-{3}" upper="{3}" effort="1" velocity="1"/></joint>'
+    )
+    links = joint.format("a", "base", 0, 1), joint.format("b", "a", 0.3, 1), joint.format("c", "base", 1, 0.005)
+    (tmp_path / "strip.urdf").write_text(f'<robot name="strip"><link name="base"/>{"".join(links)}</robot>')
+    text = "couplings: [{joint: c_joint, of: {a_joint: 1.0, b_joint: 1.0}}]\nname_mot: [a_joint, b_joint]\n"
+    (tmp_path / "strip.closures.yaml").write_text(f"{text}tool_frame: b\n")
+    found = reachable_poses(Robot.load(tmp_path / "strip.urdf"), 400, np.random.default_rng(0))
+    assert np.abs(found.commands.sum(axis=1)).max() <= 0.005
+    np.testing.assert_allclose(found.commands.std(axis=0), 1.0 / np.sqrt(3.0), rtol=0.1)
