@@ -93,11 +93,13 @@ class Reference:
         walk = _Walk(robot, coordinates, branches, start, None)
         walk.to(target)
         beyond = _Walk(robot, coordinates, None, start, None).to(target)
+        pose = pose_in_words(coordinates, _read(robot, coordinates, walk.last).round(6), ".4g")
         kind = "parallel" if coordinates == robot.command_coordinates else "serial"
         if branches is not None and np.isfinite(beyond).all():
-            kind = branches.kind(branches.number(beyond) ^ branches.number(start))
-        values = _read(robot, coordinates, walk.last)
-        pose = pose_in_words(coordinates, values.round(6), ".4g")
+            changed = branches.number(beyond) ^ branches.number(start)
+            if not changed:
+                return f"ways to it pass singular poses, from home one near {pose}; a guess near it makes it reachable"
+            kind = branches.kind(changed)
         return (
             f"it lies beyond a {kind} singularity, met near {pose}, on another branch; a configuration 'home' of the "
             "description on that branch (pm3dof info --assemble), or a guess there, makes it reachable"

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Engine
@@ -39,6 +40,12 @@ def test_random_commands(parallelogram: Robot, engine: Engine, count: int) -> No
 def test_grids(parallelogram: Robot, count: int) -> None:
     poses = parallelogram.solve(parallelogram.grid(crank=(-3.0, 4.0, count)), on_failure="nan")
     check(poses, np.linspace(-3.0, 4.0, count))
+
+
+def test_where_walks_end_is_said(parallelogram: Robot) -> None:
+    """The first flat pose is at a command of -1 rad, which is -57.3 degrees."""
+    with pytest.raises(UnreachablePoseError, match=r"parallel singularity, met near crank = -57\.3 deg"):
+        parallelogram.forward([-1.5])
 
 
 def check(poses: Poses, commands: np.ndarray) -> None:
