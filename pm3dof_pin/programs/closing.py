@@ -191,7 +191,7 @@ def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[st
             q[joint.q_index : joint.q_index + 2] = cos(coordinate), sin(coordinate)
         else:
             q[joint.q_index] = coordinate
-    tree = Tree(graph, mechanism, rows, positions=q, dense=dense)
+    tree = Tree(graph, mechanism, rows, positions=q, dense=dense, in_working_axes=True)
     unscaled = loop_equations(tree)
     if task.tool:
         unscaled.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, rows)))
@@ -269,10 +269,10 @@ def same_side(
     But they span almost the same space at both, and J(q)^T J(before) has a positive determinant, unless there is a
     singular configuration between them. True if there are no such systems.
     """
-    if not _without_sign(Tree(Graph(), mechanism, samples), task):
+    if not _without_sign(Tree(Graph(), mechanism, samples, in_working_axes=True), task):
         return np.True_
-    tree = Tree(graph, mechanism, samples, positions=q, dense=dense)
-    other = Tree(graph, mechanism, samples, positions=before, geometry=tree.geometry)
+    tree = Tree(graph, mechanism, samples, positions=q, dense=dense, in_working_axes=True)
+    other = Tree(graph, mechanism, samples, positions=before, geometry=tree.geometry, in_working_axes=True)
     is_same: Truth = np.True_
     for a, b in zip(_without_sign(tree, task), _without_sign(other, task), strict=True):
         is_same = is_same & ~_is_flipped(_determinant(a.matrix.T @ b.matrix))
@@ -290,7 +290,7 @@ def _closed_systems(tree: Tree, task: Task) -> tuple[list[int], list[_System], t
     held = [tree.mechanism.single_joint(name).v_index for name in task.joints]
     equations = loop_equations(tree)
     if task.tool:
-        tool = tree.frame(tree.mechanism.frame_name())
+        tool = tree.in_world(tree.frame(tree.mechanism.frame_name()))
         equations.append(tool_equations(tree, task.tool, {name: placement_component(tool, name) for name in task.tool}))
     scaled = [_scaled(tree, equation) for equation in equations]
     found, idle = split([_at_samples(equation) for equation in scaled], set(held))

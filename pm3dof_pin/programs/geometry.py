@@ -6,6 +6,10 @@ dense pattern, without constants, serves all mechanisms of the structure, with e
 
 Entries within 1e-15 of 0, 1 or -1 are rounded to these: they come from rounding, such as of cos(pi/2) for angles of a
 URDF. This moves a point a metre away by 1e-15 m.
+
+What is placed on the base is also there as placed in *working axes*, with a prefix. They are those of the first joint
+on the base where many more entries are constants in these, as on a robot that stands turned on its base, else the
+world's.
 """
 
 from __future__ import annotations
@@ -26,7 +30,14 @@ from pm3dof_pin.programs.graph import Graph, Number
 from pm3dof_pin.tolerances import LAST_DIGITS
 from pm3dof_pin.typing import Objects, Vector
 
+WORKING = "@"
+"""Prefix of joints and frames placed in working axes."""
+
+WORKING_AXES = f"{WORKING}base"
+"""The placement of the working axes in the world."""
+
 _CONSTANTS = (0.0, 1.0, -1.0)
+_MANY_MORE = 2.0  # times as many constants: placing the tool in the world costs operations, too
 
 
 def structure(mechanism: Mechanism) -> str:
@@ -60,6 +71,13 @@ def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float
         _add_joint(names, entries, model.names[index], model.joints[index])
     for name in dict.fromkeys([*frame_names(mechanism), *frames]):
         _add_placement(names, entries, f"frame/{name}", model.frames[mechanism.frame_id(name)].placement)
+    on_base = placed_on_base(mechanism, frames)
+    axes = _working_axes(list(on_base.values()))
+    for name, placement in {
+        WORKING_AXES: axes,
+        **{WORKING + key: axes.actInv(on_base[key]) for key in on_base},
+    }.items():
+        _add_placement(names, entries, name, placement)
     found = dict(zip(names, _rounded(np.concatenate([np.zeros(0), *entries])).tolist(), strict=True))
     for k, (lower, upper) in enumerate(zip(mechanism.lower_limits, mechanism.upper_limits, strict=True)):
         found[f"limit/{k}/lower"] = float(lower) - LIMIT_TOLERANCE
@@ -79,7 +97,8 @@ def values(mechanism: Mechanism, names: Sequence[str], others: Mapping[str, floa
     Raises:
         ProgramError: the mechanism lacks a number.
     """
-    frames = [name[6:].rpartition("/")[0] for name in names if name.startswith("frame/")]
+    plain = [name.removeprefix(WORKING) for name in names]
+    frames = [name[6:].rpartition("/")[0] for name in plain if name.startswith("frame/")]
     found = numbers(mechanism, frames) | dict(others or {})
     if missing := [name for name in names if name not in found]:
         raise ProgramError(f"{mechanism.name}: no geometry {missing[0]}, expected that of the program's mechanism")
@@ -91,18 +110,52 @@ def chosen(found: Mapping[str, float], names: Iterable[str]) -> Vector:
     return np.array([found[name] for name in names])
 
 
+def placed_on_base(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, pin.SE3]:
+    """Return the placements of joints and frames on the base, by owner."""
+    model = mechanism.model
+    found = {model.names[k]: model.jointPlacements[k] for k in range(1, model.njoints) if model.parents[k] == 0}
+    for name in dict.fromkeys([*frame_names(mechanism), *frames]):
+        frame = model.frames[mechanism.frame_id(name)]
+        if frame.parentJoint == 0:
+            found[f"frame/{name}"] = frame.placement
+    return found
+
+
+def _working_axes(placements: Sequence[pin.SE3]) -> pin.SE3:
+    """Return the first placement if many more entries of all are constants in its axes, else the world's."""
+
+    def constant(axes: pin.SE3) -> int:
+        entries = [axes.actInv(placement).homogeneous[:3].ravel() for placement in placements]
+        return int(np.isin(_rounded(np.concatenate(entries)), _CONSTANTS).sum())
+
+    world = pin.SE3.Identity()
+    is_turned = placements and constant(placements[0]) > _MANY_MORE * constant(world)
+    return placements[0] if is_turned else world
+
+
 class Geometry:
     """The geometry of one mechanism, as constants and parameters of a graph; all are parameters if `dense`."""
 
-    def __init__(self, graph: Graph, mechanism: Mechanism, frames: Iterable[str] = (), *, dense: bool = False) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        mechanism: Mechanism,
+        frames: Iterable[str] = (),
+        *,
+        dense: bool = False,
+        in_working_axes: bool = False,
+    ) -> None:
         self._graph = graph
         self._numbers = numbers(mechanism, frames)
+        self._moved = set(placed_on_base(mechanism, frames)) if in_working_axes else set[str]()
         self._dense = dense
         self._known: dict[str, Number | float] = {}
 
     def number(self, owner: str, entry: str) -> Number | float:
         """Return one entry of the geometry of a joint or frame."""
         name = f"{owner}/{entry}"
+        if owner in self._moved and entry[0] in "Rp":
+            name = WORKING + name
         if name not in self._known:
             value = self._numbers[name]
             is_constant = not self._dense and value in _CONSTANTS

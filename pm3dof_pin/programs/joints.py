@@ -230,7 +230,7 @@ class ChainJoint:
 def chain(model: pin.Model, index: int, geometry: Geometry) -> Iterator[ChainJoint]:
     """Yield the chain of simple joints of a Pinocchio joint; ProgramError for unsupported types."""
     name = model.names[index]
-    first = _placement(geometry, name)
+    first = placement_of(geometry, name)
     yield from _links(name, model.joints[index], first, geometry)
 
 
@@ -240,7 +240,7 @@ def _links(name: str, model_joint: Any, first: Transform, geometry: Geometry) ->
     if kind == "Composite":
         for k, part in enumerate(concrete.joints):
             part_name = f"{name}[{k}]"
-            part_placement = _placement(geometry, part_name)
+            part_placement = placement_of(geometry, part_name)
             yield from _links(part_name, part, first * part_placement if k == 0 else part_placement, geometry)
         return
     q_index, v_index = model_joint.idx_q, model_joint.idx_v
@@ -279,7 +279,8 @@ def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[SimpleJoint
     raise ProgramError(f"joint '{name}': programs do not support joints of type {kind}")
 
 
-def _placement(geometry: Geometry, name: str) -> Transform:
+def placement_of(geometry: Geometry, name: str) -> Transform:
+    """Return the placement of a joint or frame on its body."""
     return Transform(geometry.rotation(name), geometry.vector(name, "p"))
 
 

@@ -1,7 +1,7 @@
 """Loop closures and couplings on recorded numbers: errors, and their derivatives by joint.
 
-Where all three translations are held, their errors are b - a, the vector from frame a's origin to frame b's, in world
-axes; where all three rotations are, half the sum of a_k x b_k over the frames' axes, which to first order is the
+Where all three translations are held, their errors are b - a, the vector from frame a's origin to frame b's, in the
+tree's axes; where all three rotations are, half the sum of a_k x b_k over the frames' axes, which to first order is the
 rotation vector from a to b. Otherwise they are components along the axes of frame a. The columns are the derivatives of
 the errors where the loops are closed, and exact to first order nearby. Joints below both frames are omitted: they move
 a closed loop as a whole.
@@ -110,7 +110,7 @@ def closure_frames(tree: Tree, index: int) -> tuple[Transform, Transform]:
 
 
 def held_twist(kind: ClosureType, a: Transform, b: Transform) -> Objects | int:
-    """Return the rows that a closure takes from the relative twist of frame b, world axes, shape=(size, 6).
+    """Return the rows that a closure takes from the relative twist of frame b, shape=(size, 6).
 
     A number instead says that it takes the first so many components as they are.
     """
@@ -193,13 +193,13 @@ def largest_residual(equations: Iterable[Equations]) -> Scalar:
 
 
 def _motion(tree: Tree, index: int, point: Objects) -> Objects:
-    """Return the twist [v; omega] of a point at unit rate of an entry of v, world axes, shape=(6,)."""
+    """Return the twist [v; omega] of a point at unit rate of an entry of v, shape=(6,)."""
     screw = tree.screws[index]
     return objects([*screw.velocity(point), *screw.angular])
 
 
 def _rotation_error(a: Objects, b: Objects) -> Objects:
-    """Return to first order the rotation vector from rotation a to b, world axes, shape=(3,)."""
+    """Return to first order the rotation vector from rotation a to b, shape=(3,)."""
     return objects(sum(cross(a[:, k], b[:, k]) for k in range(3)) * 0.5)
 
 
@@ -234,8 +234,9 @@ def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str
     """
     name = tree.mechanism.tool_frame
     assert name is not None
-    tool, support = tree.frame(name), tree.support(name)
-    twists = {k: _motion(tree, k, tool.translation) for k in support}
+    placed, support = tree.frame(name), tree.support(name)
+    tool = tree.in_world(placed)
+    twists = {k: tree.turned_to_world(_motion(tree, k, placed.translation)) for k in support}
     errors: list[Scalar] = []
     gradients: list[Objects] = []
     angular: list[bool] = []

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.programs.geometry import Geometry
+from pm3dof_pin.programs.geometry import WORKING_AXES, Geometry
 from pm3dof_pin.programs.graph import Graph, Scalar, is_zero
-from pm3dof_pin.programs.joints import ChainJoint, Screw, Transform, chain, objects
+from pm3dof_pin.programs.joints import ChainJoint, Screw, Transform, chain, objects, placement_of
 from pm3dof_pin.typing import Objects
 
 
@@ -29,6 +29,7 @@ class Tree:
         positions: numbers to use for q instead of new inputs, shape=(nq,).
         dense: whether every entry of the geometry is a parameter, see :mod:`pm3dof_pin.programs.geometry`.
         geometry: that of another tree of the mechanism in the same graph.
+        in_working_axes: whether placements and screws are in the geometry's working axes instead of the world's.
 
     Attributes:
         graph: the graph.
@@ -53,6 +54,7 @@ class Tree:
         positions: Objects | None = None,
         dense: bool = False,
         geometry: Geometry | None = None,
+        in_working_axes: bool = False,
     ) -> None:
         model, rows = mechanism.model, np.array(samples, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != model.nq:
@@ -62,7 +64,8 @@ class Tree:
         if positions is None:
             positions = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(model.nq)])
         self.q: Objects = positions
-        self.geometry = geometry or Geometry(graph, mechanism, frames, dense=dense)
+        self.geometry = geometry or Geometry(graph, mechanism, frames, dense=dense, in_working_axes=in_working_axes)
+        self._axes = placement_of(self.geometry, WORKING_AXES) if in_working_axes else None
         self.links: list[ChainJoint] = []
         screws: dict[int, Screw] = {}
         self._bodies = [Transform(objects(np.eye(3).tolist()), objects([0.0, 0.0, 0.0]))]
@@ -87,11 +90,19 @@ class Tree:
         return self._bodies[joint]
 
     def frame(self, name: str) -> Transform:
-        """Return the placement of a frame in the world; FrameNotFoundError if the model has no such frame."""
+        """Return the placement of a frame; FrameNotFoundError if the model has no such frame."""
         frame = self.mechanism.model.frames[self.mechanism.frame_id(name)]
-        owner = f"frame/{name}"
-        fixed = Transform(self.geometry.rotation(owner), self.geometry.vector(owner, "p"))
-        return self.body(frame.parentJoint) * fixed
+        return self.body(frame.parentJoint) * placement_of(self.geometry, f"frame/{name}")
+
+    def in_world(self, placement: Transform) -> Transform:
+        """Return a placement in the world."""
+        return placement if self._axes is None else self._axes * placement
+
+    def turned_to_world(self, twist: Objects) -> Objects:
+        """Return a twist [v; omega] in the axes of the world, shape=(6,)."""
+        if self._axes is None:
+            return twist
+        return np.concatenate([self._axes.rotation @ twist[:3], self._axes.rotation @ twist[3:]])
 
     def support(self, name: str) -> tuple[int, ...]:
         """Return the entries of v that move a frame, from the base to the frame."""

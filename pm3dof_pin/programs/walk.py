@@ -199,7 +199,7 @@ class Walk:
 def branch_program(mechanism: Mechanism, coordinates: Task, samples: ArrayLike, *, dense: bool = False) -> Program:
     """Record the number of a configuration's branch, see :func:`~pm3dof_pin.programs.closing.branch_number`."""
     graph = Graph()
-    tree = Tree(graph, mechanism, samples, dense=dense)
+    tree = Tree(graph, mechanism, samples, dense=dense, in_working_axes=True)
     drives = mechanism.actuated_indices.tolist()
     number = branch_number(tree, coordinates, drives) if mechanism.has_branches else 0.0
     return graph.program("branch", {"branch": number})
@@ -247,7 +247,8 @@ def start_program(
     known = [joint.coordinate(rows) for joint in joints]
     if task.tool:
         assert mechanism.tool_frame is not None
-        tool = Tree(graph, mechanism, rows, positions=q, dense=dense).frame(mechanism.tool_frame)
+        tree = Tree(graph, mechanism, rows, positions=q, dense=dense, in_working_axes=True)
+        tool = tree.in_world(tree.frame(mechanism.tool_frame))
         origins += [placement_component(tool, name) for name in task.tool]
         at_samples = tool_components([Configuration(mechanism, row).tool_placement.homogeneous for row in rows])
         known += [at_samples[:, TOOL_COMPONENTS.index(name)] for name in task.tool]
