@@ -220,7 +220,7 @@ def holding_program(robot: Robot, poses: Matrix) -> Program:
         ProgramError: there is no program.
     """
     graph, doubt = Graph(), Doubt()
-    tree = Tree(graph, robot, poses)
+    tree = Tree(graph, robot, poses, in_working_axes=True)
     forces = _holding(tree, robot, robot.model, doubt)
     return graph.program("holding", {"forces": forces, "pivot": doubt.pivot})
 
@@ -295,7 +295,7 @@ def drives_program(
     def trace() -> Program:
         poses = samples_near_home(robot)
         verify(robot, poses)
-        doubt, tree = Doubt(), Tree(Graph(), robot, poses)
+        doubt, tree = Doubt(), Tree(Graph(), robot, poses, in_working_axes=True)
         record = {"holding_forces": _holding, "mass_matrix": _inertia, "drive_motions": _motions}[name]
         return checked_program(name, tree, record(tree, robot, model, doubt), doubt)
 

@@ -118,7 +118,7 @@ def traced_program(
     q[model.rigid_indices] = [
         graph.input(f"q[{k}]", column) for k, column in enumerate(samples[:, model.rigid_indices].T)
     ]
-    tree = Tree(graph, model.mechanism, samples, (frame,), positions=q)
+    tree = Tree(graph, model.mechanism, samples, (frame,), positions=q, in_working_axes=True)
     roots = Roots(model, tree, frame)
     values = record(roots)
     sound = roots.is_sound if closed else roots.is_sound & loops.closed(tree)
@@ -187,7 +187,7 @@ class Roots:
         if rows is None:
             raise RigidDirectionError("the springs of a branch are rigid in some direction")
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
-        return self.noted(rows.T, doubt)
+        return self.noted(self.tree.turned_to_world(rows.T), doubt)
 
     def coordinate_stiffness(self, components: Sequence[ToolComponent] = ()) -> Objects:
         """X with X X^T the stiffness of components of the twist, or of the declared coordinates, shape=(p, n).
@@ -211,7 +211,9 @@ class Roots:
         given = {c.joint: mechanism.single_joint(c.joint).v_index for c in coordinates if c.joint is not None}
         passive = [k for k in self.model.rigid_velocity_indices if k not in given.values()]
         twist = identity(6)
-        components = twist if chosen else _component_rows(self.tree.frame(self._frame).rotation)
+        rotation = self.tree.in_world(self.tree.frame(self._frame)).rotation
+        components = twist if chosen else _component_rows(rotation)
+        components = np.hstack([self.tree.turned_from_world(part) for part in np.hsplit(components, 2)])
         readings = [Reading(components[TOOL_COMPONENTS.index(c.tool)], c.unit == "m") for c in coordinates if c.tool]
         twists = response(
             self.tree,
@@ -240,6 +242,7 @@ class Roots:
         columns = columns[np.argsort(order)]
         with np.errstate(invalid="ignore"):  # constants, where the frame is free at every pose
             columns[:3] = columns[:3] * self._unit
+        columns = self.tree.turned_to_world(columns)
         size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
         doubt.note_pivot(6.0 / size)
         return self.noted(columns, doubt)

@@ -86,7 +86,7 @@ class Masses:
     @property
     def weights(self) -> Objects:
         """Generalised forces that hold the tree of bodies against gravity, shape=(nv,) [N, N m]."""
-        gravity = objects([self._numbers[f"gravity/{k}"] for k in range(3)])
+        gravity = self._tree.turned_from_world(objects([self._numbers[f"gravity/{k}"] for k in range(3)]))
         forces: Objects = zeros(1, len(self._twists))[0]
         for joint, own, _ in self._joints:
             for k in own:

@@ -85,6 +85,10 @@ class Tree:
         """The purely translational entries of v, which are measured in lengths."""
         return [k for k, screw in enumerate(self.screws) if all(map(is_zero, screw.angular))]
 
+    def turned_from_world(self, vector: Objects) -> Objects:
+        """Return a vector, shape=(3,), or the rows of some, shape=(n, 3), in the axes of the tree."""
+        return vector if self._axes is None else objects(vector @ self._axes.rotation)
+
     def body(self, joint: int) -> Transform:
         """Return the placement of the body that a joint moves, by Pinocchio's index of the joint."""
         return self._bodies[joint]
@@ -99,7 +103,7 @@ class Tree:
         return placement if self._axes is None else self._axes * placement
 
     def turned_to_world(self, twist: Objects) -> Objects:
-        """Return a twist [v; omega] in the axes of the world, shape=(6,)."""
+        """Return twists [v; omega] in the axes of the world, shape=(6,) or (6, n)."""
         if self._axes is None:
             return twist
         return np.concatenate([self._axes.rotation @ twist[:3], self._axes.rotation @ twist[3:]])
@@ -120,7 +124,7 @@ class Tree:
         for k in self.support(name):
             columns[:3, k] = self.screws[k].velocity(point)
             columns[3:, k] = self.screws[k].angular
-        return columns
+        return self.turned_to_world(columns)
 
     def local_jacobian(self, joint: int) -> Objects:
         """Return the Jacobian of the body that a joint moves, shape=(6, nv): twist [v; omega] in the joint's axes."""

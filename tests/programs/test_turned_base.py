@@ -16,9 +16,13 @@ import pytest
 import pm3dof_pin as pm
 from pm3dof_pin.description.robots import robot_names, robots_directory
 from pm3dof_pin.dynamics.batch import drive_mass_matrices
+from pm3dof_pin.elastic.quantities import COMPLIANCE
+from pm3dof_pin.elastic.traced import traced_program
 from pm3dof_pin.errors.error_parameters import all_parameters
 from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.programs.closing import Task, closing_program
 from pm3dof_pin.programs.llvm import Compiled
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
@@ -94,3 +98,18 @@ def test_results_and_doubt_do_not_depend_on_where_the_base_stands(name: str) -> 
     assert set(found) == set(expected)
     for key, values in expected.items():
         np.testing.assert_allclose(found[key], values, rtol=0, atol=1e-11 * np.nanmax(np.abs(values)), err_msg=key)
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_programs_of_a_turned_robot_are_as_short(name: str) -> None:
+    """Planar loops stay planar in the axes of the first joint; only the tool is placed in the world."""
+    lengths = []
+    for angles, shift in (((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (ANGLES, SHIFT)):
+        model = pm.ElasticModel(on_stand(name, angles, shift))
+        robot = model.rigid
+        task = Task.from_coordinates(robot.command_coordinates)
+        closing = closing_program(robot, task, samples_near_home(robot))
+        compliance = traced_program(model, robot.frame_name(), "compliance", COMPLIANCE.traced)
+        lengths.append((len(closing), len(compliance)))
+    straight, turned = np.array(lengths)
+    assert (turned < 1.1 * straight).all()
