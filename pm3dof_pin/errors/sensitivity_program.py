@@ -14,7 +14,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt, zeros
 from pm3dof_pin.programs.graph import Graph, select
-from pm3dof_pin.programs.joints import Transform
+from pm3dof_pin.programs.joints import Transform, placement_of
 from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.motion_equations import joint_columns
 from pm3dof_pin.programs.program import Program
@@ -111,7 +111,8 @@ def _traced(
     verify(robot, poses)
     places = [parameter.place for parameter in errors.parameters]
     graph, tool = Graph(), robot.frame_name()
-    tree = Tree(graph, robot, poses, [place for place in places if not robot.model.existJointName(place)])
+    frames = [place for place in places if not robot.model.existJointName(place)]
+    tree = Tree(graph, robot, poses, frames, in_working_axes=True)
     driven = robot.actuated_indices
     passive = joint_columns(tree, np.setdiff1d(np.arange(robot.model.nv), driven), tool)
     displaced, order = _displacements(tree, errors, local_twists, at_zero=at_zero)
@@ -125,7 +126,7 @@ def _traced(
         doubt,
         shared=len(robot.placing_drives) < len(driven),
     )
-    by_errors = by_errors[:, np.argsort(order)]
+    by_errors, by_drives = map(tree.turned_to_world, (by_errors[:, np.argsort(order)], by_drives))
     outputs = reduce(Motions(graph, by_errors, by_drives, doubt))
     sound = doubt.is_none(np.hstack([by_errors, by_drives]))
     return graph.program(name, {**outputs, "sound": select(sound, 1.0, 0.0)})
@@ -154,8 +155,7 @@ def _place(tree: Tree, place: str) -> Transform:
     model = tree.mechanism.model
     if not model.existJointName(place):
         return tree.frame(place)
-    fixed = Transform(tree.geometry.rotation(place), tree.geometry.vector(place, "p"))
-    return tree.body(model.parents[model.getJointId(place)]) * fixed
+    return tree.body(model.parents[model.getJointId(place)]) * placement_of(tree.geometry, place)
 
 
 def _moved_frames(errors: GeometricErrors, place: str) -> frozenset[str]:
