@@ -224,7 +224,7 @@ class CsvTable:
         return None
 
     def _number(self, cell: str, column: str) -> float:
-        word = cell.strip()
+        word = without_apostrophe(cell.strip())
         try:
             number = word.replace(",", ".") if self._decimal_commas else word
             return float(number.replace("_", "no digit")) if word else np.nan

@@ -200,7 +200,10 @@ class Linearisation:
         information = _information(self.rows, np.sqrt(certainties))
         unit = np.outer(self.units, self.units)
         if np.isfinite(self.prior):
-            covariance = np.linalg.inv(information + np.diag(1.0 / self.sigmas**2))
+            # as a square it stays positive semidefinite, which the inverse of hardly known parameters does not
+            factor = np.linalg.cholesky(information + np.diag(1.0 / self.sigmas**2))
+            root = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
+            covariance = root.T @ root
             unmeasured = covariance[:, : len(self.errors)] / self.prior
             widened = unmeasured @ unmeasured.T * unit
             return [covariance * unit + ((1.0 + error) ** 2 - 1.0) * widened for error in prior_errors]

@@ -2,7 +2,9 @@
 
 Rows of the folder and new ones are fitted together, which is what the old calibration as prior would give, with every
 row judged again: outliers, noise, what is held out. If drives' zeros moved, the old rows' commands are first counted
-from the new zeros. Rows of a machine whose parts moved say nothing of the present one and are not merged.
+from the new zeros. These are known from few rows, so what the old rows are still off by is estimated with the machine
+(`homing`), and the zeros are those of the new rows. Rows of a machine whose parts moved say nothing of the present one
+and are not merged.
 """
 
 from __future__ import annotations
@@ -64,7 +66,8 @@ def updated(
     old = read_measurements(Path(directory) / MEASUREMENTS, robot, target_sigma=0.0)
     scales = np.abs([command.scale for command in robot.commands])
     if found.verdict == "re-zero":
-        old = replace(old, commands=old.commands - scales * found.zeros)
+        homings = np.zeros(len(old), dtype=np.intp) if old.homings is None else old.homings
+        old = replace(old, commands=old.commands - scales * found.zeros, homings=homings + 1)
     if {*old.conditions} != {*measurements.conditions}:
         differing = ", ".join(sorted({*old.conditions} ^ {*measurements.conditions}))
         raise CalibrationRefusedError([f"{differing}: known in one session only; expected in both or in none"])

@@ -146,7 +146,7 @@ def compensate(
 
 def _without_commands(columns: Mapping[str, Array], machine: Robot) -> dict[str, Array]:
     """Return the columns of the poses, without those of commands, beside which corrected ones would be ambiguous."""
-    commands = {name for k, name in enumerate(drive_names(machine), start=1) for name in (name, f"u{k}")}
+    commands = {name for pair in drive_names(machine).items() for name in pair}
     return {name: values for name, values in columns.items() if name.rpartition("_")[0] not in commands}
 
 

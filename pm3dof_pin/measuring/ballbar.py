@@ -19,7 +19,7 @@ from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
-from pm3dof_pin.measuring.instruments.sphere import BALLBAR_LENGTH
+from pm3dof_pin.measuring.instruments.sphere import BALLBAR, BALLBAR_LENGTH
 from pm3dof_pin.measuring.joint_columns import command_columns
 from pm3dof_pin.typing import Array
 
@@ -79,7 +79,7 @@ def ballbar_columns(
     sphere: int = 1,
     columns: ColumnMap | None = None,
 ) -> dict[str, Array]:
-    """Return the columns of a measurement file from a trace: commands, distances, directions of approach.
+    """Return the columns of a measurement file from a trace: commands, distances, their usual noise, approaches.
 
     Columns of the trace: `reading_m`, by how much the bar is longer than calibrated, and `angle_rad` from the first
     axis of the plane, or `time_s` from the first sample (with :attr:`Circle.feed`).
@@ -129,7 +129,8 @@ def ballbar_columns(
     commands, before = (_commands(robot, circle.points(angles - back)) for back in (0.0, turn * _STEP))
     names = command_columns(robot)
     found = dict(zip(names, commands.T, strict=True))
-    found |= {"distance_m": circle.length + readings, "sphere": np.full(len(chosen), float(sphere))}
+    found |= {"distance_m": circle.length + readings, "sigma_distance_m": np.full(len(chosen), BALLBAR.sigma)}
+    found |= {"sphere": np.full(len(chosen), float(sphere))}
     directions = np.sign(np.round(commands - before, 9))
     return found | {f"approach_u{k}": column for k, column in enumerate(directions.T, start=1)}
 

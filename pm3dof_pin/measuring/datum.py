@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NoReturn
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from pm3dof_pin.typing import Array, Indices, Mask
 _MAX_ROUNDS = 50
 _SETTLED = 1e-12  # [m, rad]
 _IN_A_PLANE = 1e-6  # of the greatest extent
+_STEEP = 0.95  # cosine from which an inclination changes it by less than a third of its own change
+_MIRROR = np.array([-1.0, 1.0])
+_CLEARLY = 0.1  # of the spread of image coordinates, medians
 _DAMPING, _FASTER = 1e-12, 100.0
 
 
@@ -53,6 +57,7 @@ class DatumKind:
     read: Callable[[Array], tuple[Array, Array | float]] = _nothing
     written: Callable[[Array], Array] = _no_cells  #: cells of `columns` that say these numbers with a change of 1
     round: bool = False  #: whether it is a sphere, which points in a plane see alike from both sides
+    even: bool = False  #: whether it is a plane, from which points in another one tell the cosine of its inclination
     through_a_lens: bool = False  #: whether g is of directions, so that a row is a length only at its depth, Z
 
 
@@ -66,6 +71,14 @@ def axes_of_extents(points: Array) -> Array:
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)[2]
     axes[2] = np.cross(axes[0], axes[1])
     return np.asarray(axes)
+
+
+def narrowness(points: Array) -> float:
+    """Return the second extent over the first of points in a plane, 0 for points on a line; infinity if in space."""
+    sizes = np.abs((points - points.mean(axis=0)) @ axes_of_extents(points).T).max(axis=0)
+    if sizes[2] > _IN_A_PLANE * sizes[0]:
+        return np.inf
+    return float(sizes[1] / sizes[0]) if sizes[1] > _IN_A_PLANE * sizes[0] else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +96,9 @@ class Datum:
     #: in a plane. Near it, only the square matters: the placement's z is half its change over `reach`
     height: float = float("nan")
     reach: float = 1.0  #: see `height` [m]
+    #: whether it is a plane upright on that of all points seen, where only the cosine of its inclination matters: the
+    #: placement's ry stretches heights instead
+    upright: bool = False
 
     @classmethod
     def fitted(cls, kind: DatumKind, number: int, points: Array, values: Array) -> Datum:
@@ -95,9 +111,10 @@ class Datum:
             values: numbers measured, NaN in other rows, shape=(n, dimension) [m]; X/Z and Y/Z for a camera.
 
         Raises:
-            InvalidValueError: too few rows, points in one plane for a camera, or numbers without any placement.
+            InvalidValueError: too few rows, numbers without any placement, or for a camera points in one plane, behind
+                it or mirrored.
         """
-        own = np.isfinite(values).all(axis=1)
+        own = np.asarray(np.isfinite(values).all(axis=1))
         if own.sum() < kind.min_rows:
             problem = f"{number} has {own.sum()} rows"
             raise InvalidValueError(kind.name, problem=problem, expected=f"at least {kind.min_rows}")
@@ -109,26 +126,54 @@ class Datum:
             raise nowhere from error
         if not np.isfinite([*found.origin, *found.axes.ravel()]).all():
             raise nowhere
-        return found.above_a_plane(points[own]).at_its_depth(points)
+        if found._sees_behind(points):
+            found._refuse(points)
+        return found.above_a_plane(points, own).at_its_depth(points)
 
-    def above_a_plane(self, points: Array) -> Datum:
-        """Return a sphere with its height above the plane of the points seen, shape=(n, 3) [m], if they are in one."""
-        if not self.kind.round or len(points) < len(self.axes):
+    def _refuse(self, points: Array) -> NoReturn:
+        """Refuse a camera that sees points behind it, as a mirrored image shows them."""
+        mirrored = self._nearest(self.kind, self.number, points, self.values * _MIRROR)
+        left, spread = mirrored.residuals(points)[self.rows], self.values[self.rows]
+        clearly = np.median(np.abs(left)) < _CLEARLY * np.median(np.abs(spread - np.median(spread, axis=0)))
+        problem = f"{self.number} has points behind it wherever it is put"
+        if clearly and not mirrored._sees_behind(points):
+            problem = f"{self.number} sees a mirrored image: u or v counts the other way, or they are exchanged"
+        raise InvalidValueError(self.kind.name, problem=problem, expected="u to the right, v down, of these points")
+
+    def above_a_plane(self, points: Array, own: Mask) -> Datum:
+        """Return a sphere with its height above the plane of its points, a plane upright on it, if they are in one.
+
+        Points have shape=(n, 3) [m], the flags of the datum's own shape=(n,).
+        """
+        points, values = points[own], self.values[own]
+        if not (self.kind.round or self.kind.even) or len(points) < len(self.axes):
             return self
         middle, axes = points.mean(axis=0), axes_of_extents(points)
-        sizes = np.abs((points - middle) @ axes.T).max(axis=0)
-        if sizes[2] > _IN_A_PLANE * sizes[0] or sizes[1] <= _IN_A_PLANE * sizes[0]:
+        if narrowness(points) in (0.0, np.inf):
             return self
+        if self.kind.even:
+            return self._upright_on(axes, points - middle, middle, values[:, 0])
         if abs(axes[2, 2]) > 1.0 - _IN_A_PLANE:
             axes = np.eye(3)
         reach = float(np.median(np.linalg.norm(points - self.origin, axis=1)))
         return replace(self, axes=axes, height=float(axes[2] @ (self.origin - middle)), reach=reach)
 
+    def _upright_on(self, axes: Array, points: Array, middle: Array, values: Array) -> Datum:
+        """Return a plane upright on that of points about their middle, with the normal of least squares, if it is."""
+        along = axes[:2] @ self.axes[2]  # touched
+        if np.ptp(values) > 0.0:
+            along = np.linalg.lstsq(points @ axes[:2].T, values - values.mean(), rcond=None)[0]
+        if (cosine := float(np.linalg.norm(along))) < _STEEP:
+            return self
+        normal = along @ axes[:2] / cosine
+        turned = np.stack([axes[2], np.cross(normal, axes[2]), normal])
+        return replace(self, axes=turned, origin=middle - values.mean() * normal, upright=True)
+
     @classmethod
     def _nearest(cls, kind: DatumKind, number: int, points: Array, values: Array) -> Datum:
         """Return the datum at the placement of least squares, of those that its kind starts from."""
-        own, flat = np.isfinite(values).all(axis=1), np.ones(len(points))
-        fits: list[tuple[float, int, Datum]] = []
+        own, flat = np.asarray(np.isfinite(values).all(axis=1)), np.ones(len(points))
+        fits: list[tuple[bool, float, int, Datum]] = []
         for axes, origin in kind.start(points[own], values[own]):
             datum, damping = cls(kind, number, axes, origin, values, flat), _DAMPING
             for _ in range(_MAX_ROUNDS):
@@ -144,8 +189,8 @@ class Datum:
                     damping = _FASTER * damping
                 else:
                     datum, damping = moved, max(_DAMPING, damping / _FASTER)
-            fits.append((datum._misfit(points), len(fits), datum))
-        return min(fits)[2]
+            fits.append((datum._sees_behind(points), datum._misfit(points), len(fits), datum))
+        return min(fits)[-1]
 
     def at_its_depth(self, points: Array) -> Datum:
         """Return the datum with lengths as numbers: directions, if it is a lens, multiplied by the depth of points."""
@@ -196,8 +241,11 @@ class Datum:
         twist[list(self.kind.moves)] = values
         if np.isfinite(self.height):
             return self._lifted(twist)
+        stretched = self.values
+        if self.upright:
+            stretched, twist[4] = self.values / (1.0 + twist[4]), 0.0
         turned = rotation_matrix(twist[3:]).T @ self.axes
-        return replace(self, origin=self.origin + self.axes.T @ twist[:3], axes=turned)
+        return replace(self, origin=self.origin + self.axes.T @ twist[:3], axes=turned, values=stretched)
 
     def _lifted(self, twist: Array) -> Datum:
         square = self.height**2 + 2.0 * self.reach * twist[2]
@@ -224,7 +272,12 @@ class Datum:
         if np.isfinite(self.height):
             own = np.stack([x, y, z], axis=1)
             whole[:, :, 2] = self.reach * own / np.maximum(np.sum(own**2, axis=1, keepdims=True), _SETTLED)
+        if self.upright:
+            whole[:, :, 4] = np.stack([nothing, nothing, np.nan_to_num(self.values[:, 0])], axis=1)
         return np.asarray(whole[:, :, self.kind.moves])
+
+    def _sees_behind(self, points: Array) -> bool:
+        return self.kind.through_a_lens and bool((self._own(points)[self.rows, 2] <= 0.0).any())
 
     def _misfit(self, points: Array) -> float:
         return float(np.sum(self.residuals(points) ** 2))

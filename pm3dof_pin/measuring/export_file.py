@@ -201,18 +201,19 @@ class Export:
         path: Path,
         needed: Collection[str],
         columns: ColumnMap | None = None,
-        drives: Sequence[str] = (),
+        drives: Mapping[str, str] | None = None,
     ) -> Export:
         """Read a file; its header is the first line that has the columns `needed`, in any unit.
 
-        Columns of commands may also have the names of the drives: `m1_deg` for `u1_deg`.
+        Columns of commands may also have the names of the drives: `m1_deg` for `u1_deg` if `drives` has m1: u1.
 
         Raises:
             MeasurementError: it is unreadable, is not text in a known encoding, has a row of another length, a time
                 that is none, a column of lengths or angles without a unit, or a command twice.
         """
         given = columns or ColumnMap()
-        numbers = {f"{what}{name}".casefold(): f"{what}u{k}" for k, name in enumerate(drives, 1) for what in _OF_DRIVES}
+        names_of = (drives or {}).items()
+        numbers = {f"{what}{name}".casefold(): f"{what}{number}" for name, number in names_of for what in _OF_DRIVES}
 
         def name_of(heading: str) -> str:
             name = given.name_of(without_apostrophe(heading.strip()))
@@ -238,7 +239,7 @@ class Export:
             header_line, headings, separator = _header(lines, separator, name_of, stems)
         decimal = given.decimal or ("." if separator == "," else ",")
         rows = _rows(path, lines, header_line, separator)
-        headings, rows = _without_headings(headings, rows)
+        headings, rows = _without_headings(path, headings, rows)
         names = [name_of(heading) for heading in headings]
         names, rows = _without_last(path, header_line, names, rows)
         kept = [k for k, name in enumerate(names) if name != IGNORE]
@@ -376,9 +377,9 @@ def _rows(path: Path, lines: list[str], header_line: int, separator: str) -> dic
 
 
 def _without_headings(
-    headings: Sequence[str], rows: dict[int, list[str]]
+    path: Path, headings: Sequence[str], rows: dict[int, list[str]]
 ) -> tuple[Sequence[str], dict[int, list[str]]]:
-    """Drop repeated headers, and a row of units below the header, which become part of the headings."""
+    """Drop repeated headers, and a row of units below the header, which become part of headings without any."""
     same = [heading.strip() for heading in headings]
     rows = {line: row for line, row in rows.items() if [cell.strip() for cell in row] != same}
     first = next(iter(rows), 0)
@@ -386,7 +387,13 @@ def _without_headings(
     if any(words) and all(word in _UNIT_OF for word in words if word not in ("", "-")):
         del rows[first]
         told = dict(enumerate(words[: len(same)]))
-        headings = [f"{name} [{told[k]}]" if told.get(k) in _UNIT_OF else name for k, name in enumerate(same)]
+        units = {k: _UNIT_OF[word] for k, word in told.items() if word in _UNIT_OF}
+        for k, own in ((k, _split(same[k])[1]) for k in units):
+            if own not in ("", units[k]):
+                raise MeasurementError(path, f"{same[k]} is said to be in {units[k]}", [first])
+        headings = [
+            f"{name} [{told[k]}]" if k in units and not _split(name)[1] else name for k, name in enumerate(same)
+        ]
     return headings, rows
 
 

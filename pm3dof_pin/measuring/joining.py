@@ -120,7 +120,9 @@ def join(
     return Joined(found, tuple(without), tuple(moved), float(gaps[kept].max()))
 
 
-def _table(path: Path, needed: tuple[str, ...], columns: ColumnMap | None, drives: tuple[str, ...] = ()) -> CsvTable:
+def _table(
+    path: Path, needed: tuple[str, ...], columns: ColumnMap | None, drives: Mapping[str, str] | None = None
+) -> CsvTable:
     table = Export.read(path, needed, columns, drives).table(needed)
     table.keep(np.asarray(np.isfinite(table.matrix(needed)).all(axis=1)))
     return table

@@ -24,9 +24,14 @@ def command_columns(robot: Robot) -> tuple[str, ...]:
     return tuple(f"u{k}_{unit}" for k, unit in enumerate((command.unit for command in robot.commands), start=1))
 
 
-def drive_names(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the drives, which columns of commands may have instead of u1, u2 ..."""
-    return tuple(command.name for command in robot.command_coordinates)
+def drive_names(robot: Robot) -> dict[str, str]:
+    """Return the names that columns of commands may have instead of u1, u2 ..., and which of these they stand for.
+
+    They are those of the drives, and of the joints whose coordinate is what the counter reads.
+    """
+    numbered = [(f"u{k}", command) for k, command in enumerate(robot.command_coordinates, start=1)]
+    joints = {each.joint: u for u, each in numbered if each.joint and (each.offset, each.scale) == (0.0, 1.0)}
+    return joints | {each.name: u for u, each in numbered}
 
 
 def start_columns(robot: Robot) -> tuple[str, ...]:

@@ -45,7 +45,7 @@ _POINT = ("px_m", "py_m", "pz_m")
 _SIGMAS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 _DISTANCE, _DISTANCE_SIGMA = "distance_m", "sigma_distance_m"
 _ORIGIN = ("cx_m", "cy_m", "cz_m")
-_TIME, _STATION = "time_s", "station"
+_TIME, _STATION, _HOMING = "time_s", "station", "homing"
 
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 _MIN_SIGMA = 1e-12  # [m, rad]
@@ -85,8 +85,9 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
     columns |= _datum_columns(measurements, columns)
     if measurements.times is not None:
         columns |= {_TIME: measurements.times}
-    if measurements.stations is not None:
-        columns |= {_STATION: np.where(measurements.stations > 0, measurements.stations, np.nan)}
+    for name, numbers in {_STATION: measurements.stations, _HOMING: measurements.homings}.items():
+        if numbers is not None:
+            columns |= {name: np.where(numbers > 0, numbers, np.nan)}
     if measurements.approaches is not None:
         columns |= zip(approach_columns(robot), measurements.approaches.T, strict=True)
     return write_text_atomically(path, csv_of_columns(columns | measurements.conditions))
@@ -119,7 +120,7 @@ def read_measurements(
 ) -> Measurements:
     """Read and check a CSV file of measurements.
 
-    Columns: the commands (`u1_m,u2_m,u3_m`, or `u1_rad` for a rotary drive, or with the drives' names, `slider1_m`),
+    Columns: the commands (`u1_m,u2_m,u3_m`, or `u1_rad` for a rotary drive, or named after the drives, `slider1_m`),
     `x_m,y_m,z_m`, and for full poses `qw,qx,qy,qz`. Optional: `px_m,py_m,pz_m`, the point seen, in tool axes;
     `sigma_x_m ... sigma_rz_rad`;
     `temperature_*_K`, `load_*`; `time_s`, to identify drift; `approach_u1` ..., the direction (1, -1, 0 for unknown)
@@ -180,7 +181,8 @@ class _Reader:
         distances = (_DISTANCE, _DISTANCE_SIGMA, *_ORIGIN, *self._start_columns)
         datums = [name for kind in self._kinds for name in (kind.name, *kind.columns, kind.sigma_column)]
         encoders = (f"{sigma}{name}" for sigma in ("", "sigma_") for name in self._encoders)
-        may_be_empty = {_STATION, *_POSITION, *_QUATERNION, *_SIGMAS, *distances, *datums, *encoders, *self._unused}
+        numbers = (_STATION, _HOMING)
+        may_be_empty = {*numbers, *_POSITION, *_QUATERNION, *_SIGMAS, *distances, *datums, *encoders, *self._unused}
         needed = [name for name in self._table.columns if name not in may_be_empty]
         whole &= np.isfinite(self._table.matrix(needed)).all(axis=1)
         self._table.keep(whole)
@@ -238,6 +240,7 @@ class _Reader:
             registration,
             times=table.columns.get(_TIME),
             stations=stations,
+            homings=self._numbers(_HOMING, "homings"),
             approaches=self._approaches(commands),
         )
         if self._joints:
@@ -274,6 +277,7 @@ class _Reader:
         for joint in robot.passive_joints:
             with contextlib.suppress(InvalidValueError):  # several degrees of freedom
                 columns[encoder_column(robot, joint)] = joint
+        self._passive = tuple(columns.values())
         names = [name for name in header if name.removeprefix("sigma_").startswith(ENCODER)]
         if wrong := [name for name in names if name.removeprefix("sigma_") not in columns]:
             expected = ", ".join(columns) or f"none: {robot.name} has no passive joint"
@@ -304,6 +308,7 @@ class _Reader:
             *((name,) for kind in self._kinds for name in kind.columns if name != _DISTANCE),
             (_TIME,),
             (_STATION,),
+            (_HOMING,),
             _ORIGIN,
             _QUATERNION,
             _POINT,
@@ -441,15 +446,18 @@ class _Reader:
 
     def _stations(self) -> Indices | None:
         """Return the number of the place from which each row was seen, 0 for none, shape=(n,)."""
-        if _STATION not in self._table:
-            return None
-        numbers = np.nan_to_num(self._table[_STATION])
-        if (bad := (numbers < 0.0) | (numbers != np.round(numbers))).any():
-            self._refuse(f"{_STATION} is a number of places, expected 1, 2 ...", bad)
-        stations = numbers.astype(np.intp)
+        stations = self._numbers(_STATION, "places")
         # in a frame of its own, that of the first station is the frame
-        stations = stations - stations.min() if self._own_frame else stations
-        return stations if stations.any() else None
+        if stations is None or not self._own_frame:
+            return stations
+        return stations - stations.min() if np.ptp(stations) else None
+
+    def _numbers(self, name: str, what: str) -> Indices | None:
+        """Return the numbers in a column, 0 for empty cells, shape=(n,); None if all are 0."""
+        numbers = np.nan_to_num(self._table.get(name, 0.0))
+        if (bad := (numbers < 0.0) | (numbers != np.round(numbers))).any():
+            self._refuse(f"{name} is a number of {what}, expected 1, 2 ...", bad)
+        return numbers.astype(np.intp) if numbers.any() else None
 
     def _registration(
         self, expected: Array, positions: Array, nominal: Poses, rotations: Array | None, own: Mask
@@ -517,7 +525,8 @@ class _Reader:
 
     def _readings(self, nominal: Poses, instrument: Instrument) -> tuple[Array, Array]:
         """Return encoder readings and their noise, infinite for empty cells, shape=(n, joints) each [m, rad]."""
-        expected = joint_coordinates(nominal.robot, nominal.q, tuple(self._joints))
+        passive = dict(zip(self._passive, joint_coordinates(nominal.robot, nominal.q, self._passive).T, strict=True))
+        expected = np.column_stack([passive[joint] for joint in self._joints])
         readings, sigmas = expected.copy(), np.full_like(expected, np.inf)
         for k, (column, unit) in enumerate(zip(self._encoders, self._joints.values(), strict=True)):
             seen = np.isfinite(self._table[column])
@@ -526,6 +535,8 @@ class _Reader:
             if (bad := seen & ~(given > 0.0)).any():
                 self._refuse(f"sigma_{column} is not positive", bad)
             readings[seen, k], sigmas[seen, k] = self._table[column][seen], given[seen]
+            if seen.any():
+                self._refuse_other_joint(column, readings[seen, k], {name: q[seen] for name, q in passive.items()})
             far = np.abs(readings[seen, k] - expected[seen, k])
             if seen.any() and np.median(far) > _FAR_READING * ENCODER_ZERO[unit]:
                 self._refuse(
@@ -533,6 +544,20 @@ class _Reader:
                     "another unit, zero, direction or joint?"
                 )
         return readings, sigmas
+
+    def _refuse_other_joint(self, column: str, readings: Array, passive: Mapping[str, Array]) -> None:
+        """Refuse an encoder that follows another passive joint, or its own one backwards, clearly better than it.
+
+        And clearly better than none at all, as that of a locked joint does.
+        """
+        signs = (("", 1.0), ("minus ", -1.0))
+        found = {f"{words}{joint}": readings - sign * q for joint, q in passive.items() for words, sign in signs}
+        found |= {"": readings}
+        spreads = {name: float(np.median(np.abs(off - np.median(off)))) for name, off in found.items()}
+        nearest = min(spreads, key=lambda name: spreads[name])
+        own = column.removeprefix(ENCODER).rpartition("_")[0]
+        if _CLEARLY**2 * spreads[nearest] < min(spreads[own], spreads[""]):
+            self._refuse(f"{column} follows {nearest}, not {own}: counted the other way, or columns exchanged?")
 
     def _with_datums(self, found: Measurements, expected: Array, instrument: Instrument) -> Measurements:
         """Return measurements with planes, lines, sockets and cameras, placed by the machine as described."""

@@ -27,7 +27,18 @@ from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, registe
 from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Indices, Mask
 
-_COLUMNS = ("commands", "positions", "rotations", "points", "times", "approaches", "origins", "readings", "stations")
+_COLUMNS = (
+    "commands",
+    "positions",
+    "rotations",
+    "points",
+    "times",
+    "approaches",
+    "origins",
+    "readings",
+    "stations",
+    "homings",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +77,8 @@ class Measurements:
         partners: the rows at whose points distances start instead, shape=(n,); -1 for a fixed point.
         stations: number of the place from which the instrument saw each row, if that is not known, shape=(n,); 0 for
             the others; None if there are none. Rows are in base axes as the machine described has them.
+        homings: number of the earlier homing of the drives at which each row was measured, shape=(n,); 0 for the
+            machine's present zeros; None if all are. The zeros of earlier ones are near the present ones, but unknown.
         joints: passive joints with an encoder and the unit of each, "m" or "rad"; their noise follows that of the tool
             in `sigmas`.
         readings: readings of these encoders, shape=(n, joints) [m, rad]; None if there are none.
@@ -90,6 +103,7 @@ class Measurements:
     origins: Array | None = None
     partners: Indices | None = None
     stations: Indices | None = None
+    homings: Indices | None = None
     joints: dict[str, str] = field(default_factory=dict)
     readings: Array | None = None
     datums: tuple[Datum, ...] = ()
@@ -109,6 +123,7 @@ class Measurements:
             *((name, values, (n,)) for name, values in self.conditions.items()),
             ("times", self.times, (n,)),
             ("stations", self.stations, (n,)),
+            ("homings", self.homings, (n,)),
             ("readings", readings, (n, len(self.joints))),
             ("approaches", self.approaches, self.commands.shape),
         ]

@@ -17,6 +17,7 @@ datums        rows measured against spheres, planes, lines,          3 to 6 for 
 drift         rows have times                                        a motion of the base and of each drive's zero, [m]
                                                                      and [rad] from the first row to the last
 hysteresis    rows have approaches                                   for each drive, from one direction to the other
+homings       rows were measured before drives were homed anew       for each of them, the zero of each drive then
 encoders      passive joints have encoders                           the zero of each, known to ENCODER_ZERO
 ============  =====================================================  ==================================================
 """
@@ -162,6 +163,17 @@ class _Hysteresis(NuisancePart):
         return np.asarray(0.5 * drives * measurements.approaches[:, None, :])
 
 
+@dataclass(frozen=True, eq=False)
+class _EarlierZeros(NuisancePart):
+    """Places of the drives at an earlier homing minus the present ones, at the same readings."""
+
+    number: int = field(kw_only=True)  #: of the homing
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        own = np.zeros(1) if measurements.homings is None else measurements.homings
+        return np.asarray(drives * (own == self.number)[:, None, None])
+
+
 class _EncoderZeros(NuisancePart):
     """Zero of each encoder: its reading minus the joint's coordinate."""
 
@@ -208,6 +220,9 @@ class Nuisances:
             parts.append(_Drift("drift", *named, start=float(times.min()), duration=float(np.ptp(times))))
         if measurements.approaches is not None and measurements.approaches.any():
             parts.append(_Hysteresis("hysteresis", *_named("hysteresis", drives, _HYSTERESIS_SIGMA)))
+        for number in () if measurements.homings is None else np.setdiff1d(measurements.homings, [0]):
+            named = _named(f"homing{number}", drives, _FRAME_SCALE)
+            parts.append(_EarlierZeros("homings", *named, _FRAME_SIGMA, number=int(number)))
         if measurements.joints:
             parts.append(_EncoderZeros("encoders", *_named("encoder", measurements.joints, ENCODER_ZERO)))
         return cls(parts)

@@ -93,7 +93,7 @@ def observed(commands: Array, transforms: Array, instrument: Instrument) -> Meas
     for k, each in enumerate(placed):
         own = against == k
         numbers = -each.datum(np.zeros((len(rows), each.kind.dimension)), k + 1).residuals(points)
-        datum = each.datum(np.where(own[:, None], numbers, np.nan), k + 1).above_a_plane(points[own])
+        datum = each.datum(np.where(own[:, None], numbers, np.nan), k + 1).above_a_plane(points, own)
         datums.append(datum.at_its_depth(points))
         sigmas[own, : each.kind.dimension] = instrument.position_sigma
     return replace(found, sigmas=sigmas, datums=tuple(datums))

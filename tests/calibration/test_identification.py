@@ -16,6 +16,7 @@ from pm3dof_pin.calibration.identification import PRIOR, Identification, identif
 from pm3dof_pin.calibration.linearisation import Linearisation
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
@@ -287,6 +288,26 @@ def test_a_direction_is_told_down_to_rounding(weak: float, told: bool) -> None:
     covariance = Linearisation.covariances(problem, np.ones((1, 2)), [1.0])[0]  # type: ignore[arg-type]
     assert covariance[0, 0] == pytest.approx(1.0, rel=1e-12)
     assert covariance[1, 1] == (pytest.approx(1.0 / weak, rel=1e-9) if told else np.inf)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_covariance_stays_one_however_little_is_known(seed: int) -> None:
+    """Singular values s of the rows and prior k: V (s^2 + 1 / k^2)^-1 V^T; seen also through twice as many unknowns."""
+    generator, count = np.random.default_rng(seed), 30
+    left, right = (np.linalg.qr(generator.normal(size=(count, count)))[0] for _ in range(2))
+    sizes, few = np.geomspace(1e4, 1e-2, count), generator.normal(size=(6, 3)) @ np.eye(count)[-3:]
+    problem = SimpleNamespace(
+        rows=((left * sizes) @ right.T)[:, None],
+        units=np.ones(count),
+        sigmas=np.full(count, PRIOR),
+        prior=PRIOR,
+        errors=range(count),
+    )
+    (found,) = Linearisation.covariances(problem, np.ones((count, 1)), (0.0,))  # type: ignore[arg-type]
+    expected = (right / (sizes**2 + PRIOR**-2)) @ right.T
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    seen = np.vstack([np.eye(count), few])
+    assert np.isfinite(covariance_root(seen @ found @ seen.T)).all()
 
 
 def test_errors_that_are_missing_show_in_the_noise_factor(

@@ -15,6 +15,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.recheck import read_history
 from pm3dof_pin.calibration.updating import updated
+from pm3dof_pin.errors.pose_error import pose_difference
 from pm3dof_pin.exceptions import CalibrationRefusedError
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 
@@ -60,6 +61,33 @@ def test_new_rows_are_merged(
         off[name] = float(np.sqrt(np.mean(np.sum((predicted.positions - true[:, :3, 3]) ** 2, axis=1))))
     assert off["again"] < (0.4 if moved else 1.1) * off["before"]
     assert len(read_measurements(tmp_path / "again" / "measurements.csv", robot)) == len(calibration.measurements) + 8
+
+
+def test_present_zeros_are_known_by_the_new_rows_alone(case: Case, tmp_path: Path) -> None:
+    """So the tool is known no better than by a machine of which only the zeros are unknown, from these (H. Cramer)."""
+    machine, calibration, commands, _ = case
+    folder, robot = calibration.save(tmp_path / "calibration"), calibration.compensation.errors.robot
+    shifted = commands - [2e-4, -1e-4, 1e-4]
+    seen = pm.Measurements.from_poses(commands, machine.measure(shifted, np.random.default_rng(6)))
+    again, found = updated(folder, seen)
+    assert found.verdict == "re-zero"
+    homings = again.measurements.homings
+    assert homings is not None
+    np.testing.assert_array_equal(homings, np.repeat([1, 0], [40, 8]))
+    step, tested = 1e-6, pm.reachable_poses(robot, 30, np.random.default_rng(5)).commands
+
+    def by_drives(at: np.ndarray) -> np.ndarray:
+        ends = [[robot.forward(at + s * e).transforms for s in (-step, step)] for e in np.eye(at.shape[1])]
+        return np.stack([pose_difference(*pair) for pair in ends], axis=2) / (2.0 * step)
+
+    rows = by_drives(commands) / seen.sigmas[:, :, None]
+    known = np.linalg.inv(np.einsum("nik,nil->kl", rows, rows))
+    weights = again.compensation.weights
+    effects = by_drives(tested) * weights[:, None]
+    least = np.einsum("nik,kl,nil->n", effects, known, effects)
+    stated = np.einsum("nii->n", again.compensation.covariances(robot.forward(tested)))
+    assert (stated > 0.9 * least).all()
+    assert stated.mean() < 4.0 * least.mean()
 
 
 def test_moved_parts_are_not_merged(case: Case, tmp_path: Path) -> None:

@@ -77,6 +77,7 @@ def test_angles_in_degrees_and_wrong_files(hexapod: pm.Robot, tmp_path: Path) ->
     found = ballbar_columns(path, hexapod, circle, samples=5, sphere=2)
     np.testing.assert_allclose(found["distance_m"], LENGTH + 3e-6)
     assert (found["sphere"] == 2.0).all()
+    assert (found["sigma_distance_m"] == 1e-6).all()  # a ballbar's, not that of the instrument of other files
     for text, words in (
         ("time_s,reading_um\n0,1\n1,2\n", "expected the feed"),
         ("reading_um\n0\n1\n", "angle_rad"),

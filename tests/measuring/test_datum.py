@@ -124,6 +124,27 @@ def test_strut_lengths_are_identified(kind: str, errors: GeometricErrors, tmp_pa
     np.testing.assert_allclose(again.sigmas, seen.sigmas, rtol=1e-6)
 
 
+def test_a_few_wrong_targets_do_not_move_a_camera(errors: GeometricErrors, tmp_path: Path) -> None:
+    """Four of 60 rows have each other's targets; a mirrored image has the camera before the points nowhere."""
+    hexapod, longer = Hexapod.of(errors), np.array([80, -120, 60, 150, -40, -100]) * 1e-6
+    header, rows = _touches("camera", hexapod, longer, np.random.default_rng(5))
+    cells = [row.split(",") for row in rows]
+    for one, other in ((4, 5), (20, 31)):
+        cells[one][-3:], cells[other][-3:] = cells[other][-3:], cells[one][-3:]
+    path = tmp_path / "touches.csv"
+    path.write_text("\n".join([header, *map(",".join, cells)]))
+    found = identify(read_measurements(path, errors.robot, target_sigma=0.0), errors)
+    assert found.outliers == (4, 5, 20, 31)
+    off = found.values - longer
+    assert off @ np.linalg.solve(found.covariance, off) < 22.5  # 99.9 % of six
+    at = header.split(",").index("image_u_px")
+    for row in cells:
+        row[at] = repr(2.0 * CENTRE - float(row[at]))
+    path.write_text("\n".join([header, *map(",".join, cells)]))
+    with pytest.raises(MeasurementError, match="sees a mirrored image"):
+        read_measurements(path, errors.robot, target_sigma=0.0)
+
+
 def test_rows_have_the_derivatives_of_finite_differences(errors: GeometricErrors, tmp_path: Path) -> None:
     """By errors of a machine a tolerance off, for all kinds in one file."""
     generator = np.random.default_rng(1)

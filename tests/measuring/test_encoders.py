@@ -163,6 +163,14 @@ def test_what_is_wrong_with_encoders_is_named(tripod_nominal: Poses, tmp_path: P
     off = seen.with_encoders(joints, np.degrees(_readings(machine, joints)) + 3.0, np.full((5, 1), SIGMA))
     with pytest.raises(MeasurementError, match="another unit, zero"):
         read_measurements(write_measurements(off, robot, path), robot)
+    sigmas, tilts = np.full((5, 2), SIGMA), _readings(machine, TILTS)
+    for wrong_ones, follows in (
+        (tilts * [1.0, -1.0], "y_joint_rad follows minus"),
+        (tilts[:, ::-1], "x_joint_rad follows"),
+    ):
+        off = seen.with_encoders(TILTS, wrong_ones + np.array([0.01, -0.02]), sigmas)
+        with pytest.raises(MeasurementError, match=f"encoder_platform_{follows} platform_y_joint"):
+            read_measurements(write_measurements(off, robot, path), robot)
     alone = seen.with_encoders(joints, _readings(machine, joints), np.full((5, 1), SIGMA))
     lines = [line.split(",") for line in write_measurements(alone, robot, path).read_text().splitlines()]
     keep = [k for k, name in enumerate(lines[0]) if name.startswith(("u", "encoder", "sigma_encoder"))]

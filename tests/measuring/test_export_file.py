@@ -236,6 +236,8 @@ def test_profiles_agree_with_themselves() -> None:
         (lambda t: with_cell(t, "12,5"), "line 4: 7 cells"),
         (lambda t: with_cell(t, '"1,5"'), "line 4: y_m is '1,5', expected a number"),
         (lambda t: with_cell(t, "OVERLOAD"), "line 4: y_m is 'OVERLOAD'"),
+        (lambda t: with_cell(t, "---"), "line 4: y_m is '---', expected"),
+        (lambda t: t.replace("\n", "\nm,m,m,mm,mm,mm\n", 1), "line 2: x_m is said to be in mm"),
         (lambda t: t[:150] + "\0" + t[150:], "line 3: has null bytes|line 4: has null bytes"),
     ],
 )
@@ -348,3 +350,32 @@ def test_commands_have_the_names_of_drives(tmp_path: Path) -> None:
     path.write_text(table("left_motor,right_motor_deg,x_m,y_m,z_m", rows))
     with pytest.raises(MeasurementError, match="left_motor without a unit"):
         read_measurements(path, robot)
+
+
+def test_commands_have_the_names_of_joints_whose_coordinates_they_are(tmp_path: Path) -> None:
+    """Not where counters start elsewhere: 0.24 m at a slider's zero."""
+    path = tmp_path / "named.csv"
+    for name, joints in (("hexapod", "strut{}_joint"), ("pm3dof", "slider{}_joint")):
+        robot = Robot.load(name)
+        poses = reachable_poses(robot, 8, np.random.default_rng(1))
+        rows = [
+            [*map(repr, (1e3 * u).tolist()), *map(repr, x.tolist())]
+            for u, x in zip(poses.commands, poses.positions, strict=True)
+        ]
+        drives = [f"{joints.format(k)}_mm" for k in range(1, poses.commands.shape[1] + 1)]
+        path.write_text(table(",".join([*drives, "x_m", "y_m", "z_m"]), rows))
+        if name == "hexapod":
+            np.testing.assert_allclose(read_measurements(path, robot).commands, poses.commands, atol=1e-12)
+        else:
+            with pytest.raises(MeasurementError, match="no column u1_m"):
+                read_measurements(path, robot)
+
+
+def test_units_below_headings_that_have_them_change_nothing(
+    plain: tuple[list[list[str]], Measurements], tripod_nominal: Poses, tmp_path: Path
+) -> None:
+    path = tmp_path / "units.csv"
+    path.write_text(table(HEADER, plain[0]).replace("\n", "\nm,m,[m],m,metres,-\n", 1))
+    read = read_measurements(path, tripod_nominal.robot)
+    np.testing.assert_array_equal(read.commands, plain[1].commands)
+    np.testing.assert_array_equal(read.positions, plain[1].positions)

@@ -51,6 +51,27 @@ def everything(tripod_nominal: Poses) -> Measurements:
     return replace(rows, registration=at_base, times=10.0 * np.arange(18.0), approaches=approaches)
 
 
+def test_zeros_of_an_earlier_homing_are_told(
+    tripod_errors: GeometricErrors, tripod_nominal: Poses, tmp_path: Path
+) -> None:
+    """Drives were farther by these at the same readings: the machine is that of the present zeros."""
+    shift, sliders = (
+        np.array([3e-5, -5e-5, 4e-5]),
+        tripod_errors.select(["slider1_joint.tx", "link1_tip.tz"]),
+    )
+    truth = np.array([5e-5, -8e-5])
+    machine, earlier = sliders.apply(truth), np.arange(len(tripod_nominal)) % 3 > 0
+    reached = machine.forward(tripod_nominal.commands + shift * earlier[:, None])
+    rows = replace(
+        Measurements.from_poses(tripod_nominal.commands, reached.transforms), homings=np.where(earlier, 2, 0)
+    )
+    seen = read_measurements(write_measurements(rows, sliders.robot, tmp_path / "rows.csv"), sliders.robot)
+    found = identify(seen, sliders, loss="squares")
+    assert found.nuisances.names == ("homing2.u1", "homing2.u2", "homing2.u3")
+    np.testing.assert_allclose(found.nuisance_values, shift, atol=1e-7)
+    np.testing.assert_allclose(found.values, truth, atol=1e-7)
+
+
 def test_times_and_directions_are_written_and_read(
     everything: Measurements, tripod_nominal: Poses, tmp_path: Path
 ) -> None:

@@ -1,4 +1,4 @@
-"""Centres of spheres from distances of points that lie in a plane, on a line, or nearly so."""
+"""Spheres and planes measured from points that lie in a plane, on a line, or nearly so."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -60,3 +61,29 @@ def test_centres_near_the_plane_of_a_pen_are_found_with_the_machine(height: floa
     assert np.all(np.abs(found.values - truth) < 4.0 * found.sigmas)
     assert found.noise_factor < 1.3
     assert np.nanmax(np.abs(found.normalized_residuals)) < 4.5
+
+
+@pytest.mark.parametrize("inclination", [0.0, 0.03, 0.2, None])
+def test_planes_across_that_of_a_pen_are_found_with_the_machine(inclination: float | None, tmp_path: Path) -> None:
+    """Heights above a plane inclined to the upright one are shorter by a cosine; None for one that is touched."""
+    robot, sigma, generator = Robot.load(FIVE_BAR), 2e-6, np.random.default_rng(5)
+    poses = reachable_poses(robot, 40, np.random.default_rng(2))
+    errors = closable(GeometricErrors(robot), poses)
+    truth, normal = errors.sample(generator), np.array([0.28, 0.96, 0.0])
+    machine = errors.apply(truth).forward(poses.commands, guess=poses.q)
+    if inclination is None:
+        middle = machine.positions.mean(axis=0)
+        goals = middle + np.linspace(-0.05, 0.05, 40)[:, None] * [0.96, -0.28, 0.0]
+        machine = machine.robot.reach(goals + sigma * generator.standard_normal((40, 1)) * normal)
+    heights = np.cos(inclination or 0.0) * (machine.positions @ normal - 0.3) + sigma * generator.standard_normal(40)
+    cells = [machine.commands, np.ones((40, 1)), np.full((40, 1), sigma), heights[:, None]]
+    rows = np.hstack(cells)[:, : 4 if inclination is None else 5]
+    path = tmp_path / "plane.csv"
+    header = "u1_rad,u2_rad,plane,sigma_touch_m" + ("" if inclination is None else ",height_m")
+    path.write_text("\n".join([header, *(",".join(map(repr, row)) for row in rows.tolist())]) + "\n")
+    found = identify(read_measurements(path, robot), errors)
+    off = found.values - truth
+    assert off @ np.linalg.solve(found.covariance, off) < chi2.ppf(0.999, len(off))
+    squares, left = found.normalized_residuals[:, 0] ** 2, found.expected_squares.sum()
+    assert chi2.ppf(0.001, left) < squares.sum() < chi2.ppf(0.999, left)
+    assert found.nuisances.names == ("plane1.z", "plane1.rx", "plane1.ry")

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from pm3dof_pin.measuring.datum import DatumKind, axes_of_extents, constant
+from pm3dof_pin.measuring.datum import DatumKind, axes_of_extents, constant, narrowness
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
 from pm3dof_pin.typing import Array
 
+_THIN = 0.02  # extent over the first of points that a machine moving in a plane touches a plane across it with
+
 
 def _start(points: Array, values: Array) -> list[tuple[Array, Array]]:
     axes, centre = axes_of_extents(points), points.mean(axis=0)
+    if not np.ptp(values) and 0.0 < narrowness(points) < _THIN:
+        return [(axes[[2, 0, 1]], centre - values.mean() * axes[1])]
     upward = axes if axes[2] @ np.ones(3) >= 0.0 else np.array([axes[0], -axes[1], -axes[2]])
     starts = [upward, np.eye(3)] if not np.ptp(values) else [upward, upward * [[1.0], [-1.0], [-1.0]], np.eye(3)]
     return [(each, centre - values.mean() * each[2]) for each in starts]
@@ -28,6 +32,7 @@ PLANE = DatumKind(
     columns=("height_m",),
     read=lambda cells: (np.nan_to_num(cells), 1.0),
     written=lambda numbers: numbers,
+    even=True,
 )
 """A plane; without a height it is touched."""
 
