@@ -16,6 +16,7 @@ from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError, UnreachablePoseError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.datum import DatumKind, axes_of_extents
 from pm3dof_pin.measuring.instrument import Instrument, circle_of_targets
 from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
@@ -149,6 +150,13 @@ def test_a_machine_goes_on_until_it_touches(errors: GeometricErrors) -> None:
     far = placed_instrument("probe", poses, centres=((0.0, 0.0, 9.0),))
     with pytest.raises(UnreachablePoseError, match="does not reach the plane"):
         world.measure(poses.commands, np.random.default_rng(1), far)
+
+
+def test_a_gauge_stands_across_the_plane_of_a_planar_machine() -> None:
+    """A pen's heights above its own plane are all zero."""
+    robot = Robot.load(Path(__file__).parents[1] / "machines" / "five_bar")
+    (placed,) = placed_instrument("gauge", reachable_poses(robot, 30, np.random.default_rng(0))).placed
+    assert abs(placed.axes[2][2]) < 1e-9
 
 
 def test_the_commands_know_a_new_instrument(tmp_path: Path, run: Callable[..., Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pm3dof_pin.measuring.datum import DatumKind, axes_of_extents, constant, narrowness
-from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.instrument import Instrument, PlacedDatum, as_points
 from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
 from pm3dof_pin.typing import Array
 
@@ -37,12 +37,21 @@ PLANE = DatumKind(
 """A plane; without a height it is touched."""
 
 
+def _plane(setting: Setting, touch: tuple[float, ...] | None = None) -> PlacedDatum:
+    """Return the plane, across that of a machine which moves in one."""
+    points = setting.points(setting.targets)
+    if _THIN <= narrowness(points) < np.inf:
+        place = setting.centres[0] if setting.centres else as_points([setting.middle])[0]
+        return PlacedDatum(PLANE, place, as_points(axes_of_extents(points)[[2, 0, 1]]), touch)
+    return setting.one(PLANE, np.eye(3), setting.middle, touch)
+
+
 def _probe(setting: Setting) -> Instrument:
-    return setting.at(setting.one(PLANE, np.eye(3), setting.middle, (0.0,)), stops=True)
+    return setting.at(_plane(setting, (0.0,)), stops=True)
 
 
 def _gauge(setting: Setting) -> Instrument:
-    return setting.at(setting.one(PLANE, np.eye(3), setting.middle))
+    return setting.at(_plane(setting))
 
 
 PROBE = InstrumentKind("probe", "a touch of a plane", "the plane", 5e-6, _probe, PLANE)
