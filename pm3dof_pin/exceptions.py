@@ -23,6 +23,9 @@ def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
     return f"{', '.join(alike)} and {len(known) - len(alike)} more"
 
 
+_MOST_WORDS = 8  # values in a list, as of the drives of most robots: about a line
+
+
 class PM3DofError(Exception):
     """Base class of all errors this package raises deliberately. Messages are one line of moderate length."""
 
@@ -237,6 +240,12 @@ class MeasurementError(PM3DofError):
         self.path, self.problem = Path(path), problem
         self.rows = tuple(rows)
         super().__init__(f"{self.path}: {lines_in_words(self.rows)}{problem}")
+
+
+def first_words(words: Sequence[str]) -> str:
+    """Join words for a message; of many the first, and how many more there are, lest they hide the rest of it."""
+    more = len(words) - _MOST_WORDS
+    return ", ".join(words[:_MOST_WORDS]) + (f", ... ({more} more)" if more > 0 else "")
 
 
 def lines_in_words(rows: Sequence[int]) -> str:

@@ -227,9 +227,13 @@ class Polytopes:
 
 
 def _vertices(normals: Matrix, offsets: Array) -> Matrix:
-    """Intersect half-spaces by duality about their Chebyshev centre."""
+    """Intersect half-spaces by duality about their Chebyshev centre.
+
+    Many of them meet at each vertex of a symmetric robot, where Qhull may find no facets. So it is given points that
+    are joggled, and tells which half-spaces meet; where they do follows from themselves.
+    """
     from scipy.optimize import linprog
-    from scipy.spatial import HalfspaceIntersection
+    from scipy.spatial import HalfspaceIntersection, QhullError
 
     dimensions = normals.shape[1]
     if dimensions == 1:
@@ -248,9 +252,17 @@ def _vertices(normals: Matrix, offsets: Array) -> Matrix:
         raise InvalidValueError("polytope", "unbounded", "finite limits of all drives that matter")
     if found.x[-1] <= SAME:  # flat: gravity leaves no room
         return np.asarray(size * found.x[None, :-1])
-    corners = HalfspaceIntersection(np.hstack([normals, -offsets[:, None] / size]), found.x[:-1]).intersections
-    if not np.isfinite(corners).all():
+    levels = offsets / size
+    try:
+        dual = HalfspaceIntersection(np.hstack([normals, -levels[:, None]]), found.x[:-1], qhull_options="QJ")
+    except QhullError as error:
+        raise InvalidValueError("polytope", problem="is degenerate", expected="one whose facets Qhull finds") from error
+    if not (np.abs(dual.intersections) < 1.0 / SAME).all():
         raise InvalidValueError("polytope", "unbounded", "finite limits of all drives that matter")
+    facets = np.array(dual.dual_facets)
+    facets = facets[np.abs(np.linalg.det(normals[facets])) > _PARALLEL]
+    corners = np.linalg.solve(normals[facets], levels[facets][..., None])[..., 0]
+    corners = corners[(corners @ normals.T <= levels + SAME).all(axis=1)]
     _, first = np.unique(np.round(corners / SAME), axis=0, return_index=True)
     return np.asarray(size * corners[np.sort(first)])
 

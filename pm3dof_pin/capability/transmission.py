@@ -20,7 +20,7 @@ from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
-from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError, SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError, SingularConfigurationError, first_words
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.pose_values import BatchOptions
@@ -343,7 +343,7 @@ def transmission(
     require_kind("robot", robot, Robot, "pm.load")
     names, drives = tuple(c.name for c in robot.coordinates), robot.actuated_joints
     if len(drives) < len(names) or not drives:
-        problem = f"the drives ({', '.join(drives)}) cannot determine {', '.join(names)}"
+        problem = f"the drives ({first_words(drives)}) cannot determine {first_words(names)}"
         problem = problem if drives else "there are no drives"
         raise SingularConfigurationError(f"{robot.name}: {problem}: name the driven joints, as with --drives A,B")
     if isinstance(values, Poses):

@@ -26,7 +26,7 @@ from pm3dof_pin.cli.poses import (
     write_batch,
 )
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, shown_in, value_in_words
-from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.exceptions import UnreachablePoseError, first_words
 from pm3dof_pin.kinematics.assembly_modes import AssemblyModes, assembly_modes
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 from pm3dof_pin.kinematics.pose_file import placement_readings, readings
@@ -134,7 +134,10 @@ def fk(
             entry |= {"within_limits": not broken_limits(machine, pose), "found": times, "joints": _joints(pose)}
         least = min(_TIMES, *found_modes.counts)
         lines.append(
-            f"{count} assembly modes from {found_modes.starts:,} random starts, each met at least {least} times; "
+            f"{count} assembly modes from {found_modes.starts:,} random starts, and there are more, too many to find: "
+            f"at least about {float(f'{found_modes.estimated:.2g}'):,.0f} in all"
+            if found_modes.more
+            else f"{count} assembly modes from {found_modes.starts:,} random starts, each met at least {least} times; "
             f"estimated number {found_modes.estimated:.3g}, and one as rarely met as that is missing with a "
             f"probability of {100.0 * math.exp(-least):.2g} %"
         )
@@ -234,7 +237,7 @@ def _found_modes(robot: Robot, commands: Vector) -> AssemblyModes:
     found = assembly_modes(robot, commands, times=_TIMES)
     if not found.counts:
         values = with_units(robot.command_coordinates, commands)
-        listed = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+        listed = first_words([f"{name} = {value:g}" for name, value in values.items()])
         raise UnreachablePoseError(f"no pose closes the loops at {listed}: none of {found.starts} random starts does")
     return found
 

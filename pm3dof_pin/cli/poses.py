@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.cli.options import PlaceOptions, PoseOptions
 from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, stop_on_broken_limits
 from pm3dof_pin.description.coordinates import Coordinate, pose_in_words, shown_in
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError, first_words
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.broken_limits import broken_limits
@@ -174,7 +174,7 @@ def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], values: Vector
         factor, unit = shown_in(coordinate.unit)
         if not low <= value <= high:
             words.append(f"{coordinate.name} ranges from {factor * low:.4g} to {factor * high:.4g} {unit}")
-    return f"; {', '.join(words)}" if words else ""
+    return f"; {first_words(words)}" if words else ""
 
 
 def _turns_without_end(robot: Robot, coordinate: Coordinate) -> bool:

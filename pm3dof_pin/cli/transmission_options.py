@@ -46,7 +46,12 @@ class TransmissionOptions:
     """Joints, limits of the drives, and the box of a transmission."""
 
     joints: Annotated[
-        str | None, typer.Option(metavar="A,B", help="Joints of the serial model; the robot's coordinates by default.")
+        str | None,
+        typer.Option(
+            metavar="A,B",
+            help="Joints of the serial model; by default the robot's coordinates, which `export serial` takes if they "
+            "are joints.",
+        ),
     ] = None
     subtree: Annotated[
         str | None,

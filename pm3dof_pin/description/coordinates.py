@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 import msgspec
 
 from pm3dof_pin.description.schema import Name
+from pm3dof_pin.exceptions import first_words
 
 Unit: TypeAlias = Literal["m", "rad"]
 ToolComponent: TypeAlias = Literal["x", "y", "z", "rx", "ry", "rz"]
@@ -34,9 +35,12 @@ def value_in_words(name: str, unit: str, value: float, digits: str = ".9g") -> s
 
 
 def pose_in_words(coordinates: Sequence[Coordinate | Command], values: Iterable[float], digits: str = ".9g") -> str:
-    """Return a pose [rad, m] as in "theta_x = 10 deg, z_e = 0.5 m", each number with the format `digits`."""
+    """Return a pose [rad, m] as in "theta_x = 10 deg, z_e = 0.5 m", each number with the format `digits`.
+
+    Of a long one the first numbers.
+    """
     pairs = zip(coordinates, values, strict=True)
-    return ", ".join(value_in_words(each.name, each.unit, value, digits) for each, value in pairs)
+    return first_words([value_in_words(each.name, each.unit, value, digits) for each, value in pairs])
 
 
 class Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,15 +1,19 @@
 """Descriptions with the joints of URDF only: each turns about or slides along an axis of its child's frame.
 
 A spherical joint becomes revolute joints about x, y and z through one point: equivalent as long as the second stays
-away from 90 degrees. A planar or, for tools without them, a floating joint becomes prismatic joints and then revolute
-ones. The bodies between them have a mass of 0.01 g, which simulators need and which is negligible in statics.
+away from 90 degrees. A planar or, for dialects without them, a floating joint becomes prismatic joints and then
+revolute ones. The bodies between them have a mass of 0.01 g, which simulators need and which is negligible in statics.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+import pinocchio as pin
 
 from pm3dof_pin.description.description import (
     IDENTITY,
@@ -34,7 +38,12 @@ NEGLIGIBLE = Inertial(NEGLIGIBLE_MASS, IDENTITY, (*[NEGLIGIBLE_MOMENT] * 3, 0.0,
 """The inertia of such bodies."""
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_AT_SEAT = (*[0.0] * 6, 1.0)
 _LIMITS: dict[JointType, float] = {"revolute": 2.0 * math.pi, "prismatic": 1000.0}
+Floating: TypeAlias = Literal["any", "root", "none"]
+"""Which floating joints a dialect has: all, those that let a body float in the world, or none."""
+
+_Configurations: TypeAlias = Mapping[str, Mapping[str, tuple[float, ...]]]
 _Part = tuple[str, str, JointType]
 _BALL: tuple[_Part, ...] = (("", "x", "revolute"), ("_y", "y", "revolute"), ("_z", "z", "revolute"))
 _PARTS: dict[JointType, tuple[_Part, ...]] = {
@@ -50,19 +59,22 @@ _PARTS: dict[JointType, tuple[_Part, ...]] = {
 """Replacements of joints: name suffix, axis and type."""
 
 
-def with_simple_joints(description: Description, *, floating: bool = True) -> Description:
-    """Return a description with fixed, revolute, continuous and prismatic joints, and `floating` ones if kept.
+def with_simple_joints(description: Description, *, floating: Floating = "any") -> Description:
+    """Return a description with fixed, revolute, continuous and prismatic joints, and the `floating` ones of a dialect.
 
-    Each moves a body in whose frame its own is; a body that stands elsewhere is fixed to a new one. A description that
-    is so already is returned as it is. Helical joints stay.
+    Those of the root alone are measured from its frame. Each joint moves a body in whose frame its own is; a body that
+    stands elsewhere is fixed to a new one. A description that is so already is returned as it is. Helical joints stay.
     """
-    replaced = {
+    on_root = {body.name for body in description.fixed_to(description.root.name)}
+    free = {
         joint.name
         for joint in description.joints
-        if joint.type in _PARTS and not (floating and joint.type == "floating")
+        if joint.type == "floating" and (floating == "any" or (floating == "root" and joint.parent in on_root))
     }
+    replaced = {joint.name for joint in description.joints if joint.type in _PARTS} - free
+    seats = _seats(description, free) if floating == "root" else {}
     moved = {joint.name for joint in description.joints if not (joint.is_fixed or joint.child_placement.is_identity)}
-    if not replaced and not moved and not any(joint.zero for joint in description.joints):
+    if not replaced and not moved and not seats and not any(joint.zero for joint in description.joints):
         return description
     bodies, joints, frames = dict(description.body_by_name), [], list(description.frames)
     links = {}  # by body that stands elsewhere, the new body that moves, and its own place in it
@@ -84,6 +96,8 @@ def with_simple_joints(description: Description, *, floating: bool = True) -> De
         joint = replace(joint, parent=carrier, child=child, placement=placement, zero=0.0)
         if not joint.is_fixed:
             joint = replace(joint, child_placement=IDENTITY)
+        if joint.name in seats:
+            joint = replace(joint, parent=description.root.name, placement=IDENTITY)
         if joint.name not in replaced:
             joints.append(joint)
             continue
@@ -102,7 +116,7 @@ def with_simple_joints(description: Description, *, floating: bool = True) -> De
         name: {
             key: value for part in (_split(types, *entry) for entry in values.items()) for key, value in part.items()
         }
-        for name, values in description.configurations.items()
+        for name, values in _with_seats(description.configurations, seats).items()
     }
     return replace(
         description,
@@ -111,6 +125,28 @@ def with_simple_joints(description: Description, *, floating: bool = True) -> De
         frames=tuple(frames),
         configurations=configurations,
     )
+
+
+def _seats(description: Description, free: Collection[str]) -> dict[str, Placement]:
+    """Return where free joints are placed in the root, if not at its origin."""
+    places = {
+        joint.name: Placement.from_se3(description.zero_placements[joint.parent]) * joint.placement
+        for joint in description.joints
+        if joint.name in free
+    }
+    return {name: place for name, place in places.items() if not place.is_identity}
+
+
+def _with_seats(configurations: _Configurations, seats: Mapping[str, Placement]) -> _Configurations:
+    """Return configurations, home among them, whose free joints are measured from the root instead of their seats."""
+
+    def placed(seat: Placement, numbers: Sequence[float]) -> tuple[float, ...]:
+        return tuple(pin.SE3ToXYZQUAT(seat.se3 * pin.XYZQUATToSE3(np.array(numbers))).tolist())
+
+    return {
+        name: {**values, **{joint: placed(seat, values.get(joint, _AT_SEAT)) for joint, seat in seats.items()}}
+        for name, values in {**({"home": {}} if seats else {}), **configurations}.items()
+    }
 
 
 def with_frames_as_bodies(description: Description) -> Description:

@@ -14,7 +14,7 @@ from pm3dof_pin.description.closures import DriveSchema
 from pm3dof_pin.description.description import Body, Description, Drive, Inertial, Joint, Placement, Shape
 from pm3dof_pin.description.mesh_files import find_mesh
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX, RobotFiles
-from pm3dof_pin.description.simple_joints import NEGLIGIBLE, with_frames_as_bodies, with_simple_joints
+from pm3dof_pin.description.simple_joints import NEGLIGIBLE, Floating, with_frames_as_bodies, with_simple_joints
 from pm3dof_pin.description.yaml_file import yaml_text
 from pm3dof_pin.exceptions import DescriptionError
 
@@ -23,12 +23,12 @@ _logger = logging.getLogger(__name__)
 _URDF_TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating")
 
 
-def urdf_files(description: Description, *, floating: bool = True, own_meshes: bool = False) -> dict[str, str]:
+def urdf_files(description: Description, *, floating: Floating = "any", own_meshes: bool = False) -> dict[str, str]:
     """Return the texts of a robot's files by suffix: ".urdf", ".closures.yaml", ".srdf" and, if any, ".errors.yaml".
 
     Those of a robot that was read from a URDF whose joints are as they were are unchanged; otherwise they are written,
-    `floating` joints only if they are kept. Meshes are named by the paths of their files, and omitted where these are
-    missing, or with `own_meshes` as in the description.
+    `floating` joints only those that are kept. Meshes are named by the paths of their files, and omitted where these
+    are missing, or with `own_meshes` as in the description.
 
     Raises:
         DescriptionError: a joint type cannot be written.
@@ -50,7 +50,7 @@ def urdf_files(description: Description, *, floating: bool = True, own_meshes: b
     }
 
 
-def _is_plain_urdf(description: Description, *, floating: bool = True) -> bool:
+def _is_plain_urdf(description: Description, *, floating: Floating = "any") -> bool:
     """Return whether a description is that of its URDF file, all of whose joints can stay."""
     if description.files is None or description.files.format != "urdf":
         return False

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import finite_array, frozen, listed
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.dynamics.statics import ActuatorForces, balance
-from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError, first_words
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads, weight_scale
@@ -121,7 +121,7 @@ def _loop_motion(
     given = dof.over(np.eye(len(dof.scale))[indices])
     if Restriction(dof.actuators_and_tool, given.motions).rank.rank > 0:
         raise SingularConfigurationError(
-            f"{mechanism.name}: actuated joints or the tool can move while {', '.join(names) or 'no joint'} "
+            f"{mechanism.name}: actuated joints or the tool can move while {first_words(names) or 'no joint'} "
             f"are at rest; at {configuration.in_words}"
         )
     start = finite_array("rates", rates, indices.shape) / dof.scale[indices]

@@ -18,7 +18,7 @@ from pm3dof_pin.description.closures import Axis, LoopClosure
 from pm3dof_pin.description.description import Body, Joint, JointType, Placement
 from pm3dof_pin.description.readers.elements import free_name
 from pm3dof_pin.description.simple_joints import NEGLIGIBLE
-from pm3dof_pin.export.robot_document import RobotDocument
+from pm3dof_pin.export.robot_document import RobotDocument, joint_numbers
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 
@@ -67,8 +67,7 @@ class _Builder:
         moving = [joint for joint in robot.description.joints if not joint.is_fixed]
         #: joint coordinates by configuration
         self.values: dict[str, dict[str, tuple[float, ...]]] = {
-            name: {joint.name: (place.joint_position(joint.name),) for joint in moving}
-            for name, place in self.places.items()
+            name: {joint.name: joint_numbers(place, joint) for joint in moving} for name, place in self.places.items()
         }
 
     def chain(self, loop: LoopClosure, first: str, second: str) -> LoopClosure:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Unpack
 
 from pm3dof_pin.description.robots import robots_directory
+from pm3dof_pin.description.simple_joints import Floating
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.export import drake, mjcf
 from pm3dof_pin.export.drake import drake_text
@@ -30,6 +31,9 @@ _WRITERS: dict[str, Callable[[RobotDocument], dict[str, str]]] = {
 
 MESH_KINDS = {"drake": drake.MESH_KINDS, "mjcf": mjcf.MESH_KINDS}
 """Suffixes of the mesh files that a format takes, if not all."""
+
+FLOATING: dict[str, Floating] = {"drake": "root", "mjcf": "root", "sdf": "root", "urdf": "any"}
+"""Floating joints that a format has, if any."""
 
 FORMATS = tuple(_WRITERS)
 """Names of the formats."""
@@ -83,7 +87,8 @@ def export_robot(
         ConvergenceError: the loops do not close near the home configuration.
         OutputError: a file cannot be written.
     """
-    document = read_robot(robot, meshes=meshes, unique_names=format_name == "sdf", **options)
+    floating = FLOATING.get(format_name, "none")
+    document = read_robot(robot, meshes=meshes, unique_names=format_name == "sdf", floating=floating, **options)
     files = exported_files(document, format_name)
     target = Path(folder) / ros_package_name(document.name) if format_name == "ros" else Path(folder)
     kinds = MESH_KINDS.get(format_name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import PurePath
 from typing import assert_never
 from xml.etree.ElementTree import Element, SubElement
@@ -14,8 +15,9 @@ from pm3dof_pin.description.description import IDENTITY, WORLD, Body, Drive, Ine
 from pm3dof_pin.description.inertia_checks import inertia_matrix
 from pm3dof_pin.description.readers.elements import free_name
 from pm3dof_pin.export.equivalent_loops import with_closures_of
-from pm3dof_pin.export.robot_document import RobotDocument, unit_axis
+from pm3dof_pin.export.robot_document import RobotDocument, joint_numbers, unit_axis
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
+from pm3dof_pin.typing import Vector
 
 MESH_KINDS = (".stl", ".obj", ".msh")
 """Suffixes of the mesh files that MuJoCo reads."""
@@ -32,13 +34,13 @@ _GAINS: dict[str, tuple[str, ...]] = {"motor": (), "position": ("kp", "kv"), "ve
 def mjcf_text(robot: RobotDocument, banner: str = _BANNER) -> str:
     """Write a robot as MJCF, with a banner in which `{name}` stands for its name.
 
-    Each link becomes a body of its name, and joints keep their names and coordinates, so q is as in the URDF. The
-    frames of loop closures and the tool frame are also sites, `<frame>_site`: a `connect` (3d) or `weld` (6d)
-    between two sites closes the right loop in whichever configuration the file is loaded, unlike one between two
-    bodies. A hinge becomes two `connect` on its axis, a distance the length of a tendon, other closures joints of
-    their own (:mod:`~pm3dof_pin.export.equivalent_loops`), a coupling an equality of joints or of a fixed tendon.
-    Each actuated joint has an actuator: that of the description, or a motor of the joint's name. The named
-    configurations are keyframes.
+    Each link becomes a body of its name, one that floats in the root a free body of the world, and joints keep their
+    names and coordinates, so q is as in the URDF. The frames of loop closures and the tool frame are also sites,
+    `<frame>_site`: a `connect` (3d) or `weld` (6d) between two sites closes the right loop in whichever configuration
+    the file is loaded, unlike one between two bodies. A hinge becomes two `connect` on its axis, a distance the length
+    of a tendon, other closures joints of their own (:mod:`~pm3dof_pin.export.equivalent_loops`), a coupling an equality
+    of joints or of a fixed tendon. Each actuated joint has an actuator: that of the description, or a motor of the
+    joint's name. The named configurations are keyframes.
 
     Raises:
         DescriptionError: the end of a branch is movable and massless, which MuJoCo refuses; or a coupling is none of
@@ -79,7 +81,7 @@ class _Writer:
                 return [("connect" if loop.type == "3d" else "weld", {"name": name, **sites})]
             case "distance":
                 self._tendons.append((name, [self._site(frame) for frame in pair]))
-                home = self._robot.mechanism.configuration(pin.neutral(self._robot.mechanism.model))
+                home = self._robot.mechanism.configuration(self._neutral())
                 a, b = (home.frame_placement(frame).translation for frame in (loop.frame_a, loop.frame_b))
                 excess = (loop.length or 0.0) - float(np.linalg.norm(b - a))  # relative to the length at qpos0
                 return [("tendon", {"name": name, "tendon1": name, "polycoef": f"{number_text(excess)} 0 0 0 0"})]
@@ -96,6 +98,16 @@ class _Writer:
                 return found
             case _:
                 assert_never(loop.type)
+
+    def _neutral(self) -> Vector:
+        """Return q where the file has the robot: free bodies at home, other joints at zero."""
+        robot = self._robot
+        q = np.array(pin.neutral(robot.mechanism.model))
+        for joint in robot.description.joints:
+            if joint.type == "floating":
+                start = robot.mechanism.model.idx_qs[robot.mechanism.model.getJointId(joint.name)]
+                q[start : start + 7] = joint_numbers(robot.home, joint)
+        return q
 
     def _carrier(self, frame: str) -> str:
         """The body that a site is written in: the one that moves it.
@@ -125,8 +137,17 @@ class _Writer:
         SubElement(root, "option", timestep=number_text(_STEP), integrator="implicitfast", tolerance="1e-12")
         self._defaults(SubElement(root, "default"))
         self._assets(root)
-        base = SubElement(SubElement(root, "worldbody"), "body", name=self._body(robot.description.root.name))
+        world = SubElement(root, "worldbody")
+        base = SubElement(world, "body", name=self._body(robot.description.root.name))
         self._fill(base, robot.description.root, None)
+        if robot.description.root.name == WORLD and not len(base):
+            world.remove(base)
+        for joint in robot.description.joints:
+            if joint.type == "floating":
+                numbers = _positions(joint_numbers(robot.home, joint))
+                place = _place(Placement(numbers[:3], numbers[3:]))
+                child = SubElement(world, "body", {"name": joint.child, **place})
+                self._fill(child, robot.description.body_by_name[joint.child], joint)
         self._exclusions(root)
         self._equalities(root)
         self._actuators(root)
@@ -164,6 +185,9 @@ class _Writer:
             SubElement(body, "inertial", _inertial(link.inertial))
         if joint is not None and not joint.is_fixed:
             self._joints.append(joint)
+        if joint is not None and joint.type == "floating":
+            SubElement(body, "freejoint", name=joint.name)
+        elif joint is not None and not joint.is_fixed:
             rotors = [d.rotor_inertia * d.gear**2 for d in self._robot.description.drives if d.joint == joint.name]
             SubElement(body, "joint", _joint(joint, sum(rotors)))
         for kind, shapes in (("visual", link.visuals), ("collision", link.collisions)):
@@ -173,6 +197,8 @@ class _Writer:
             place = self._place_in(link.name, frame) * offset
             SubElement(body, "site", {"name": _SITE.format(name), **_place(place)})
         for below in self._robot.description.joints_below[link.name]:
+            if below.type == "floating":  # a body of the world
+                continue
             child = SubElement(body, "body", {"name": below.child, **_place(below.placement)})
             self._fill(child, self._robot.description.body_by_name[below.child], below)
 
@@ -249,8 +275,13 @@ class _Writer:
         if self._joints:
             keyframe = SubElement(root, "keyframe")
             for name, configuration in self._robot.named_configurations().items():
-                positions = [configuration.joint_position(joint.name) for joint in self._joints]
-                SubElement(keyframe, "key", name=name, qpos=numbers_text(positions))
+                numbers = [_positions(joint_numbers(configuration, joint)) for joint in self._joints]
+                SubElement(keyframe, "key", name=name, qpos=numbers_text(chain.from_iterable(numbers)))
+
+
+def _positions(numbers: tuple[float, ...]) -> tuple[float, ...]:
+    """Return coordinates of a joint in MuJoCo's order: quaternions are w, x, y, z."""
+    return numbers if len(numbers) == 1 else (*numbers[:3], numbers[6], *numbers[3:6])
 
 
 def _inertial(inertial: Inertial) -> dict[str, str]:

@@ -19,7 +19,7 @@ def description_texts(robot: RobotDocument, mesh_prefix: str = "", banner: str |
 
     With a banner, the URDF is written anew under it.
     """
-    texts = urdf_files(robot.described, floating=False, own_meshes=True)
+    texts = urdf_files(robot.described, floating=robot.floating, own_meshes=True)
     if banner is None:
         texts[".urdf"] = _with_meshes(robot, texts[".urdf"], mesh_prefix)
     else:
@@ -42,7 +42,7 @@ def _with_tool_frame(robot: RobotDocument, closures: str | None, tool_frame: str
 
 def urdf_text(robot: RobotDocument) -> str:
     """Return the URDF of a robot, verbatim if it is one without meshes."""
-    return _with_meshes(robot, urdf_files(robot.described, floating=False, own_meshes=True)[".urdf"], "")
+    return _with_meshes(robot, urdf_files(robot.described, floating=robot.floating, own_meshes=True)[".urdf"], "")
 
 
 def _with_meshes(robot: RobotDocument, text: str, mesh_prefix: str) -> str:
@@ -53,7 +53,7 @@ def _with_meshes(robot: RobotDocument, text: str, mesh_prefix: str) -> str:
 
 def urdf_element(robot: RobotDocument) -> ElementTree.Element:
     """Return a robot's URDF with its meshes named as in the export, and without limits that stand for none."""
-    return _element(robot, urdf_files(robot.described, floating=False, own_meshes=True)[".urdf"], "")
+    return _element(robot, urdf_files(robot.described, floating=robot.floating, own_meshes=True)[".urdf"], "")
 
 
 def _element(robot: RobotDocument, text: str, mesh_prefix: str) -> ElementTree.Element:

@@ -21,6 +21,7 @@ from pm3dof_pin.description.simple_joints import (
     NEGLIGIBLE,
     NEGLIGIBLE_MASS,
     NEGLIGIBLE_MOMENT,
+    Floating,
     with_frames_as_bodies,
     with_simple_joints,
 )
@@ -39,11 +40,12 @@ class RobotDocument:
     """A checked robot: its tree, the same in Pinocchio with loop closures, and its mesh files."""
 
     files: RobotFiles
-    #: bodies on fixed, revolute, continuous and prismatic joints; its frames are bodies too
+    #: bodies on fixed, revolute, continuous, prismatic and perhaps floating joints; its frames are bodies too
     description: Description
     described: Description  #: as it was read
     mechanism: Robot
     meshes: Meshes
+    floating: Floating = "none"  #: which floating joints it keeps
     renamed: Mapping[str, str] = field(default_factory=dict)  #: names of joints that were changed, by the old ones
 
     @property
@@ -143,8 +145,8 @@ class RobotDocument:
         return home if home.closure_residual <= self.mechanism.closure_tolerance else self.mechanism.assemble()
 
     def home_position(self, joint: Joint) -> float:
-        """Return the coordinate of a joint in the home configuration [m, rad]; 0 for a fixed joint."""
-        return 0.0 if joint.is_fixed else self.home.joint_position(joint.name)
+        """Return the coordinate of a joint in the home configuration [m, rad]; 0 for a fixed or floating joint."""
+        return 0.0 if not joint.is_single else self.home.joint_position(joint.name)
 
     def named_configurations(self) -> dict[str, Configuration]:
         """Return the named configurations of the SRDF, in order, and home with its loops closed."""
@@ -200,11 +202,13 @@ def read_robot(
     *,
     meshes: bool = True,
     unique_names: bool = False,
+    floating: Floating = "none",
     **options: Unpack[LoadOptions],
 ) -> RobotDocument:
     """Read a robot for export, as a plain URDF if it is in another format or has joints that URDF lacks.
 
-    With `unique_names`, joints whose names bodies have too get others. Other arguments as in
+    With `unique_names`, joints whose names bodies have too get others; free joints that are not among `floating` become
+    slides and turns. Other arguments as in
     :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
 
     Raises:
@@ -216,18 +220,25 @@ def read_robot(
     robot = Robot.load(name_or_path, **options)
     if robot.files is None:
         raise DescriptionError(robot.source, "files", "expected a robot that was read from files")
-    return document_of(robot, robot.files, meshes=meshes, unique_names=unique_names)
+    return document_of(robot, robot.files, meshes=meshes, unique_names=unique_names, floating=floating)
 
 
-def document_of(robot: Robot, files: RobotFiles, *, meshes: bool = True, unique_names: bool = False) -> RobotDocument:
-    """Prepare a robot for export; `files` are those that name its meshes.
+def document_of(
+    robot: Robot,
+    files: RobotFiles,
+    *,
+    meshes: bool = True,
+    unique_names: bool = False,
+    floating: Floating = "none",
+) -> RobotDocument:
+    """Prepare a robot for export, see :func:`read_robot`; `files` are those that name its meshes.
 
     Raises:
         DescriptionError: a mesh file is missing.
     """
     own = {name: getattr(robot, name) for name in ("actuated_joints", "commands", "springs", "tool_frame")}
     described = replace(robot.description, **own)
-    simple = with_simple_joints(described, floating=False)
+    simple = with_simple_joints(described, floating=floating)
     names = shared_joint_names(simple) if unique_names else {}
     if names:
         described, simple = with_joint_names(described, names), with_joint_names(simple, names)
@@ -242,7 +253,16 @@ def document_of(robot: Robot, files: RobotFiles, *, meshes: bool = True, unique_
         description = replace(description, bodies=tuple(map(_without_meshes, description.bodies)))
     shapes = [shape for body in description.bodies for shape in (*body.visuals, *body.collisions)]
     found = Meshes.from_urdf(files, [shape.mesh for shape in shapes if shape.kind == "mesh"])
-    return RobotDocument(files, description, described, mechanism, found, names)
+    return RobotDocument(files, description, described, mechanism, found, floating, names)
+
+
+def joint_numbers(configuration: Configuration, joint: Joint) -> tuple[float, ...]:
+    """Return the coordinates of a joint: one [m, rad], or the position and quaternion x, y, z, w of a free body."""
+    if joint.is_single:
+        return (configuration.joint_position(joint.name),)
+    model = configuration.mechanism.model
+    start, count = ((numbers[model.getJointId(joint.name)]) for numbers in (model.idx_qs, model.nqs))
+    return tuple(configuration.q[start : start + count].tolist())
 
 
 def _without_meshes(body: Body) -> Body:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -10,8 +11,9 @@ import pinocchio as pin
 from pm3dof_pin.description.closure_types import ClosureTypeName
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.description import WORLD, Body, Inertial, Joint, Placement, Shape
+from pm3dof_pin.description.readers.sdf import NAMESPACE
 from pm3dof_pin.export.equivalent_loops import with_closures_of
-from pm3dof_pin.export.robot_document import RobotDocument, unit_axis
+from pm3dof_pin.export.robot_document import RobotDocument, joint_numbers, unit_axis
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
 _VERSION = "1.7"
@@ -26,18 +28,21 @@ _CLOSURES: dict[ClosureTypeName, str] = {
     "prismatic": "prismatic",
 }
 
+ElementTree.register_namespace("pm3dof", NAMESPACE)
+
 _BANNER = "{name} in SDFormat, generated from its description by `pm3dof export sdf`. Edit that, not this file."
 
 
 def sdf_text(robot: RobotDocument) -> str:
     """Write a robot as SDFormat.
 
-    Links that move or have mass become links, on joints. Massless links at the end of a fixed
-    joint become frames, and their shapes belong to the link that carries them. Each loop closure becomes a joint
-    `<frame_a>_<frame_b>` of type `ball` (3d), `fixed` (6d), `revolute`, `universal` or `prismatic`, others several
-    (:mod:`~pm3dof_pin.export.equivalent_loops`); a coupling a `mimic` (SDFormat 1.11). The root is fixed to the
-    world. The poses are those of the home configuration, with the loops closed, where every joint is at zero: if
-    home is not at zero in the URDF, coordinates and limits are measured from home.
+    Links that move or have mass become links, on joints. Massless links at the end of a fixed joint become frames, and
+    their shapes belong to the link that carries them. Each loop closure becomes a joint `<frame_a>_<frame_b>` of type
+    `ball` (3d), `fixed` (6d), `revolute`, `universal` or `prismatic`, others several
+    (:mod:`~pm3dof_pin.export.equivalent_loops`); a coupling a `mimic` (SDFormat 1.11). The root is fixed to the world,
+    but not what floats in it, whose joint is named by a `<pm3dof:free_joint>`, which others pass over. The poses are
+    those of the home configuration, with the loops closed, where every joint is at zero: if home is not at zero in the
+    URDF, coordinates and limits are measured from home.
 
     Raises:
         DescriptionError: the end of a branch is movable and massless, which SDFormat cannot express; or a
@@ -110,7 +115,7 @@ class _Writer:
     def _link(self, link: Body, joint: Joint | None) -> None:
         element = self._links[link.name] = SubElement(self._model, "link", name=link.name)
         if joint is not None:
-            parent = {} if joint.parent == WORLD else {"relative_to": joint.parent}
+            parent = {} if joint.parent == WORLD or joint.type == "floating" else {"relative_to": joint.parent}
             _pose(element, self._placed_at_home(joint), parent)
         if link.inertial is not None and link.mass > 0.0:
             _inertial(element, link.inertial)
@@ -119,6 +124,8 @@ class _Writer:
 
     def _placed_at_home(self, joint: Joint) -> Placement:
         """Placement of the child in the parent in the home configuration."""
+        if joint.type == "floating":
+            return Placement.from_se3(pin.XYZQUATToSE3(np.array(joint_numbers(self._robot.home, joint))))
         position = self._robot.home_position(joint)
         if position == 0.0:
             return joint.placement
@@ -128,6 +135,10 @@ class _Writer:
         return Placement.from_se3(joint.placement.se3 * moved)
 
     def _tree_joint(self, joint: Joint) -> None:
+        if joint.type == "floating":  # no joint holds the link; its name is for the reader
+            free = SubElement(self._model, f"{{{NAMESPACE}}}free_joint", name=joint.name)
+            SubElement(free, "child").text = joint.child
+            return
         kind = {"prismatic": "prismatic", "fixed": "fixed"}.get(joint.type, "revolute")
         element = self._joint(joint.name, kind, joint.parent, joint.child)
         if joint.is_fixed:

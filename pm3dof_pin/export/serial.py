@@ -13,7 +13,7 @@ import numpy as np
 from pm3dof_pin.capability.mapping_fit import MappingFit
 from pm3dof_pin.capability.serial_constants import UNITS, SerialConstants
 from pm3dof_pin.description.description import Description, Drive, Joint, Placement
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, first_words
 from pm3dof_pin.export.mjcf import mjcf_text
 from pm3dof_pin.export.plain_urdf import description_texts
 from pm3dof_pin.export.robot_document import document_of
@@ -37,8 +37,7 @@ def serial_tree(robot: Robot, part: Robot, rigid: Sequence[str] = ()) -> Descrip
     """
     joints = [coordinate.name for coordinate in part.coordinates]
     if joints != [coordinate.joint for coordinate in part.coordinates]:
-        named = ",".join(c.joint for c in part.coordinates if c.joint is not None)
-        raise InvalidValueError("joints", ", ".join(joints), f"joints of the tree, as --joints {named or 'A,B'}")
+        raise InvalidValueError("joints", ", ".join(joints), f"joints of the tree: {_that_could_serve(part)}")
     held = (_joints_in_loops(part) | set(rigid)) - set(joints)
     kept = {joint.name for joint in robot.description.joints if not joint.is_fixed} - held
     closed = {(loop.frame_a, loop.frame_b) for loop in part.closures}
@@ -73,6 +72,21 @@ def serial_tree(robot: Robot, part: Robot, rigid: Sequence[str] = ()) -> Descrip
     )
     _require_same_tool(part, Robot.load(tree), held)
     return tree
+
+
+def _that_could_serve(part: Robot) -> str:
+    """Return in words which joints could stand for a part's coordinates: their own, or those that carry the tool."""
+    count, own = len(part.coordinates), [c.joint for c in part.coordinates if c.joint is not None]
+    if len(own) == count:
+        return f"--joints {','.join(own)}"
+    model, tree = part.model, {joint.name for joint in part.description.joints if joint.is_single}
+    carrying = model.supports[model.frames[part.tool_frame_id].parentJoint] if part.tool_frame else ()
+    names = [model.names[k] for k in carrying if model.names[k] in tree]
+    if len(names) == count:
+        return f"--joints {','.join(names)}, which carry {part.tool_frame}"
+    if len(names) < count:
+        return "name them with --joints A,B, or one leg with --subtree LINK"
+    return f"--joints A,B with {count} of {first_words(names)}, which determine the others"
 
 
 def _home_of_its_own(robot: Robot) -> dict[str, dict[str, tuple[float, ...]]]:
@@ -140,8 +154,8 @@ def write_serial(
     """
     if robot.files is None:
         raise InvalidValueError("robot", robot.name, "a robot that was read from files")
-    closed = document_of(robot, robot.files, meshes=meshes)
-    serial = document_of(Robot.load(with_constants(tree, constants)), robot.files, meshes=meshes)
+    closed = document_of(robot, robot.files, meshes=meshes, floating="root")
+    serial = document_of(Robot.load(with_constants(tree, constants)), robot.files, meshes=meshes, floating="root")
     name, banner = closed.file_name, "\n".join([f"{robot.name} without its loops.", *constant_lines(constants, fit)])
     texts = {f"{name}_serial.xml": mjcf_text(serial, banner)}
     # in a folder of its own: a closures file counts for the MJCF of its name too

@@ -2,7 +2,8 @@
 
 Starts are drawn until each mode found was met several times. What was met once and twice then says how many are missing
 (A. Chao, Scandinavian Journal of Statistics 11, 1984), and what was met least how likely a mode as rare as that would
-have been missed.
+have been missed. Where most starts end in different modes there are too many to find them all, unless the drives leave
+the robot free to move there, which has no modes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, require_count, require_kind
-from pm3dof_pin.exceptions import SingularConfigurationError
+from pm3dof_pin.exceptions import SingularConfigurationError, first_words
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reference import assemble_at
 from pm3dof_pin.kinematics.robot import Robot
@@ -26,7 +28,9 @@ _AT_ONCE = 1024  # starts, by programs
 _AT_ONCE_WITHOUT = 64
 _REACH = 2.0  # largest travel of sliding joints from home [characteristic lengths]
 _SAME = 1e-6  # distance of joints and of the tool's axes that are the same [characteristic lengths]
-_TOO_MANY = 200  # modes from one draw, at most half of whose ends are alike: they are not isolated
+_TOO_MANY = 200  # modes, if most starts end in different ones: too many, or not isolated
+_SAMPLE = 20  # of these, whose null motions say which
+_STEP = 1e-4  # along a null motion, which moves what tells modes apart by about as much [characteristic lengths, rad]
 
 _logger = logging.getLogger(__name__)
 
@@ -39,6 +43,7 @@ class AssemblyModes:
     counts: tuple[int, ...]  #: how many starts led to each
     starts: int  #: number of random starts
     from_home: bool  #: whether the first is reached from home
+    more: bool = False  #: whether the search ended since there are too many, most of them not found
 
     @property
     def estimated(self) -> float:
@@ -92,7 +97,7 @@ def assembly_modes(
         found = np.array(reached.q)[None]
         features = _features(robot, found)
     counts = [0] * len(found)
-    starts = 0
+    starts, more = 0, False
     size = _AT_ONCE if robot.reason_without_programs() is None else _AT_ONCE_WITHOUT
     while starts < max_starts:
         ends = _closed(robot, _random_starts(robot, generator, size), target)
@@ -106,11 +111,13 @@ def assembly_modes(
             else:
                 found, features = np.vstack([found, q]), np.vstack([features, place])
                 counts.append(1)
-        if len(counts) > _TOO_MANY and 2 * len(counts) > sum(counts):
-            raise SingularConfigurationError(
-                f"{robot.name}: the drives {', '.join(robot.actuated_joints)} do not determine the pose: "
-                f"{sum(counts)} random starts end in {len(counts)} different ones"
-            )
+        if more := len(counts) > _TOO_MANY and 2 * len(counts) > sum(counts):
+            if not _are_isolated(robot, found[-_SAMPLE:]):
+                raise SingularConfigurationError(
+                    f"{robot.name}: the drives {first_words(robot.actuated_joints)} do not determine the pose: "
+                    "with these at rest the robot can move at most of the poses found"
+                )
+            break
         _logger.info("%s: %d modes from %d starts", robot.name, len(counts), starts)
         if counts and min(counts) >= times:
             break
@@ -118,7 +125,9 @@ def assembly_modes(
             break
     order = sorted(range(int(reached.solved), len(found)), key=lambda k: _distance(robot, found[k]))
     order = [0, *order] if reached.solved else order
-    return AssemblyModes(Poses(robot, found[order]), tuple(counts[k] for k in order), starts, bool(reached.solved))
+    return AssemblyModes(
+        Poses(robot, found[order]), tuple(counts[k] for k in order), starts, bool(reached.solved), more
+    )
 
 
 def _random_starts(robot: Robot, generator: np.random.Generator, count: int) -> Matrix:
@@ -169,6 +178,18 @@ def _features(robot: Robot, q: Matrix) -> Matrix:
             parts += [placement.translation / length, placement.rotation.ravel()]
         rows.append(np.concatenate(parts))
     return np.array(rows)
+
+
+def _are_isolated(robot: Robot, q: Matrix) -> bool:
+    """Return whether at most poses no motion with the drives at rest moves what tells modes apart."""
+    moved = []
+    for each in q:
+        freedom = DegreesOfFreedom(robot.configuration(each))
+        steps = (_STEP * freedom.scale[:, None] * freedom.at_actuators.motions).T
+        ends = np.array([each, *(pin.integrate(robot.model, each, step) for step in steps)])
+        places = _features(robot, ends)
+        moved.append(np.abs(places - places[0]).max() > 0.01 * _STEP)
+    return bool(2 * sum(moved) < len(moved))
 
 
 def _distance(robot: Robot, q: Vector) -> float:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
-from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError, first_words
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.closing_programs import quantity_program
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
@@ -225,11 +225,11 @@ class ReferenceMotions:
         self._row_scale, self._column_scale = np.split(np.array(scales), [len(of)])
         wanted = self._rows(of) * dof.scale / self._row_scale[:, None]
         given = dof.over(self._rows(by) * dof.scale / self._column_scale[:, None])
-        names = ", ".join(rate.name for rate in by)
+        names = first_words([rate.name for rate in by])
         if Restriction(wanted, given.motions).rank.rank:
             alone = [rate.name for k, rate in enumerate(of) if Restriction(wanted[[k]], given.motions).rank.rank]
             raise SingularConfigurationError(
-                f"{robot.name}: {', '.join(alone or [rate.name for rate in of])} can move with {names} at rest, "
+                f"{robot.name}: {first_words(alone or [rate.name for rate in of])} can move with {names} at rest, "
                 f"at {configuration.in_words}"
             )
         if given.rank.rank < min(len(by), dof.count):

@@ -91,14 +91,17 @@ def draw_polytope(scene: Scene, path: str, drawn: DrawnPolytope, of: PolytopeQua
 
 def _hull(corners: Array, axes: Array, unit: str) -> DrawnPolytope:
     """Return the convex hull of points in a space of given axes, shape=(n, r) and (3, r)."""
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
     dimensions = axes.shape[1]
     if dimensions == 1:
         low, high = float(corners.min()), float(corners.max())
         ends = np.array([[low], [high]]) @ axes.T
         return DrawnPolytope(ends, np.zeros((0, 3), int), np.array([[0, 1]]), max(0.0, min(-low, high)), unit)
-    hull = ConvexHull(corners)
+    try:
+        hull = ConvexHull(corners)
+    except QhullError as error:
+        raise InvalidValueError("polytope", problem="is too flat to draw", expected="another pose") from error
     count = len(hull.vertices)
     if dimensions == 2:  # its vertices are in order around the polygon
         triangles = np.array([[0, k, k + 1] for k in range(1, count - 1)])

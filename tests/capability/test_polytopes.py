@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import combinations, product
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
+from scipy.stats import special_ortho_group
 
 from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.exceptions import InvalidValueError
@@ -46,6 +49,25 @@ def test_rates_are_bounded_by_every_drive() -> None:
     assert rates.extent([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [-1.0, 1.0]]).tolist() == [2.0, 1.0, 2.0, 1.0]
     np.testing.assert_allclose(rates.ball_radius, 1.0)
     np.testing.assert_allclose(sorted(map(tuple, rates.vertices())), [(-1, -1), (-1, 3), (2, -4), (2, 0)], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_where_many_drives_are_at_their_limits_at_once(seed: int) -> None:
+    """36 symmetric drives, whatever the base's axes: |x_i + x_j|, |x_i - x_j| and |x_i| up to 1.
+
+    By hand, the vertices are the ends of the axes, where eleven drives are at their limits, and all (±1/2, ..., ±1/2),
+    where fifteen are. The fourteenth digits of turned rates differ.
+    """
+    axes, generator = np.eye(6), np.random.default_rng(seed)
+    rows = [axes[i] + sign * axes[j] for i, j in combinations(range(6), 2) for sign in (1.0, -1.0)]
+    rates = np.array([*rows, *axes])
+    turn = special_ortho_group.rvs(6, random_state=seed)
+    turned = (rates + 1e-14 * generator.normal(size=rates.shape)) @ turn.T
+    vertices = Polytopes.from_inequalities(turned, -np.ones(36), np.ones(36)).vertices() @ turn
+    expected = np.vstack([axes, -axes, list(product((-0.5, 0.5), repeat=6))])
+    distances = np.linalg.norm(vertices[:, None] - expected, axis=-1)
+    assert distances.min(axis=1).max() < 1e-9  # every one found is one of these
+    assert distances.min(axis=0).max() < 1e-9  # and every one of these is found
 
 
 def test_a_load_beyond_the_drives_leaves_nothing() -> None:

@@ -206,6 +206,32 @@ def test_what_does_not_work_is_named(run: Answer, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("five_bar", "--joints left_motor,left_elbow, which carry pen"),  # the leg on which the pen hangs
+        ("delta", "with 3 of platform_x_joint, platform_y_joint, platform_z_joint, platform_rx_joint,"),
+    ],
+)
+def test_coordinates_that_are_no_joints_are_refused_with_joints_that_could_serve(
+    run: Answer, answer: Answer, tmp_path: Path, name: str, said: str
+) -> None:
+    robot, out = ("--robot", str(_MACHINES / name)), ("--out", str(tmp_path))
+    refused = run("export", "serial", *robot, *out)
+    assert refused.returncode == 1
+    assert said in refused.stderr
+    if name == "five_bar":
+        over = " ".join(f"--over {joint} {at - 5} {at + 5} 3" for joint, at in _five_bars_home().items()).split()
+        found = answer("export", "serial", *robot, "--joints", ",".join(_five_bars_home()), *over, *out)
+        assert found["joints"] == list(_five_bars_home())
+    assert "takes if they are joints" in " ".join(run("export", "serial", "--help").stdout.split())
+
+
+def _five_bars_home() -> dict[str, float]:
+    home = pm.load(_MACHINES / "five_bar").home
+    return {name: float(np.degrees(home.joint_position(name))) for name in ("left_motor", "left_elbow")}
+
+
 _BODY = '<inertial pos="0.05 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
 _HIP_AND_KNEE = f"""
 <mujoco model="leg"><compiler angle="degree" autolimits="true"/><default><joint axis="0 1 0"/></default><worldbody>

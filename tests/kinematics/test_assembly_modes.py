@@ -160,3 +160,34 @@ def test_drives_that_do_not_determine_the_pose() -> None:
     loose = robot.replace(actuated_joints=robot.actuated_joints[:5], commands=robot.commands[:5])
     with pytest.raises(SingularConfigurationError, match="do not determine the pose"):
         assembly_modes(loose, loose.home.commands)
+
+
+def test_too_many_isolated_modes_are_not_a_free_motion(tmp_path: Path) -> None:
+    """Ten four-bars side by side: each coupler ends at one of the two points where two circles meet, 1024 in all."""
+    text, loops, drives = "", "", ""
+    massive = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    for k in range(10):
+        text += f"""<body pos="0 {k} 0">{massive}<joint name="crank{k}" axis="0 1 0"/><body pos="0 0 0.2">{massive}
+          <joint name="coupler{k}" axis="0 1 0"/><site name="A{k}" pos="0.5 0 0.2"/></body></body>
+          <body pos="0.5 {k} 0">{massive}<joint name="rocker{k}" axis="0 1 0"/><site name="B{k}" pos="0 0 0.4"/>
+          </body>"""
+        loops += f'<connect site1="A{k}" site2="B{k}"/>'
+        drives += f'<motor joint="crank{k}"/>'
+    path = tmp_path / "many.xml"
+    path.write_text(
+        f"<mujoco><worldbody>{text}</worldbody><equality>{loops}</equality><actuator>{drives}</actuator></mujoco>"
+    )
+    robot = pm.load(path)
+    found = assembly_modes(robot, robot.home.commands)
+    assert found.more
+    assert 200 < len(found.counts) <= 1024
+    assert 600 < found.estimated < 1500
+    angles = [[pose.joint_position(f"rocker{k}") for k in range(10)] for pose in found.poses]
+    # the rocker's end is mirrored in the line from the crank's end, at (0, 0.2), to the rocker's joint, at (0.5, 0)
+    mirrored = 2.0 * (np.pi / 2.0 + np.arctan2(0.2, 0.5))
+    away = np.abs(np.asarray(angles)[:, :, None] - np.array([0.0, mirrored - np.pi * 2.0]))
+    assert np.minimum(away, 2.0 * np.pi - away).min(axis=2).max() < 1e-6
+    assert len(np.unique(np.round(np.cos(angles), 6), axis=0)) == len(found.counts)
+    loose = robot.replace(actuated_joints=robot.actuated_joints[:9], commands=robot.commands[:9])
+    with pytest.raises(SingularConfigurationError, match="with these at rest the robot can move"):
+        assembly_modes(loose, loose.home.commands)

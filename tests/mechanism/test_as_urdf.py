@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.description.simple_joints import NEGLIGIBLE_MASS
+from pm3dof_pin.description.simple_joints import NEGLIGIBLE_MASS, Floating
 from pm3dof_pin.description.urdf_files import _is_plain_urdf, urdf_files
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
@@ -35,7 +35,7 @@ def leg(tmp_path: Path) -> Robot:
     return Robot.load(tmp_path / "leg.xml", tool_frame="tip")
 
 
-def written(robot: Robot, folder: Path, *, floating: bool = True) -> Path:
+def written(robot: Robot, folder: Path, *, floating: Floating = "any") -> Path:
     """Write a robot's files into a folder of their own, and return the URDF."""
     folder = folder / "written"
     folder.mkdir()
@@ -136,7 +136,7 @@ def test_a_planar_joint_as_slides_and_a_hinge(tmp_path: Path) -> None:
         f'<robot name="cart"><group_state name="parked" group="all">{joints}</group_state></robot>'
     )
     robot = Robot.load(tmp_path / "cart.urdf", tool_frame="tip")
-    plain = Robot.load(written(robot, tmp_path, floating=False))
+    plain = Robot.load(written(robot, tmp_path, floating="none"))
     assert list(plain.model.names)[1:] == ["drive", "drive_along_y", "drive_about_z", "arm"]
     found = plain.configuration(plain.named_configurations["parked"]).tool_placement.translation
     side, up = 0.3 * np.cos(turn), 0.2 + 0.3 * np.sin(turn) + 0.4 * np.cos(turn)  # the arm turns about the x axis
@@ -153,7 +153,7 @@ def test_a_free_joint_as_slides_and_hinges(tmp_path: Path) -> None:
         <keyframe><key name="thrown" qpos="1 2 3 0.5 0.5 -0.1 0.7 0.2"/></keyframe></mujoco>"""
     )
     robot = Robot.load(tmp_path / "box.xml")
-    plain = Robot.load(written(robot, tmp_path, floating=False))
+    plain = Robot.load(written(robot, tmp_path, floating="none"))
     assert all(joint.nv == 1 for joint in list(plain.model.joints)[1:])
     for name in ("home", "thrown"):
         expected, found = (r.configuration(r.named_configurations[name]) for r in (robot, plain))

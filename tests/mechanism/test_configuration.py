@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -231,3 +232,18 @@ def test_the_tool_must_be_named_where_it_is_needed(five_bar: Robot) -> None:
     for attribute in ("tool_placement", "tool_jacobian"):
         with pytest.raises(DescriptionError, match=r"little\.yaml: tool_frame"):
             getattr(toolless, attribute)
+
+
+def test_words_for_many_drives_are_few(tmp_path: Path) -> None:
+    """Errors name a pose by its commands: of twelve the first eight, so that the reason is seen."""
+    links = "".join(
+        f'<body pos="0.1 0 0"><joint name="j{k}" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        for k in range(12)
+    )
+    motors = "".join(f'<motor joint="j{k}"/>' for k in range(12))
+    path = tmp_path / "arm.xml"
+    path.write_text(f"<mujoco><worldbody>{links}{'</body>' * 12}</worldbody><actuator>{motors}</actuator></mujoco>")
+    robot = Robot.load(path)
+    expected = ", ".join(f"{command.name} = 0 deg" for command in robot.commands[:8])
+    assert robot.home.in_words == f"{expected}, ... (4 more)"
+    assert "more" not in robot.replace(actuated_joints=("j0", "j1"), commands=()).home.in_words

@@ -358,3 +358,12 @@ def test_what_an_equality_holds_is_neither_driven_nor_followed(tmp_path: Path) -
         placed = robot.home.frame_placement(name)
         np.testing.assert_allclose(placed.translation, data.body(name).xpos, atol=1e-12)
         np.testing.assert_allclose(placed.rotation, data.body(name).xmat.reshape(3, 3), atol=1e-12)
+
+
+def test_a_mesh_without_volume_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "flat.xml").write_text(
+        '<mujoco><asset><mesh name="sheet" vertex="0 0 0 1 0 0 0 1 0 1 1 0"/></asset><worldbody><body name="b">'
+        '<joint name="j"/><geom type="mesh" mesh="sheet"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(DescriptionError, match=r"sheet.*has no volume"):
+        Robot.load(tmp_path / "flat.xml")

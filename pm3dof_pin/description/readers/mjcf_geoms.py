@@ -159,7 +159,7 @@ class MjcfGeoms:
                 -1, 3
             )
             if not len(faces):
-                faces = _hull(vertices)
+                faces = _hull(vertices, asset)
         else:
             path = self._elements.document.asset_path(asset, "meshdir")
             require_own(path, self._elements.document.folders, asset.origin, named(asset))
@@ -172,7 +172,7 @@ class MjcfGeoms:
             faces = np.concatenate([np.asarray(part.faces) + end for part, end in zip(parts, ends, strict=False)])
         method = mesh.get("inertia", "legacy")
         if method == "convex":
-            faces = _hull(vertices)
+            faces = _hull(vertices, asset)
         reference = self._reference(mesh, asset)
         moved = (vertices - reference.translation) @ reference.rotation * scale
         return moved, faces if scale.prod() > 0.0 else faces[:, ::-1], method
@@ -185,10 +185,13 @@ class MjcfGeoms:
         return Placement.from_quaternion(position, turn).se3
 
 
-def _hull(vertices: np.ndarray) -> np.ndarray:
+def _hull(vertices: np.ndarray, asset: Element) -> np.ndarray:
     """Return the outward triangles of the convex hull, as indices of vertices, shape=(n, 3)."""
-    from scipy.spatial import ConvexHull  # slow to import
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
 
-    faces = ConvexHull(vertices).simplices
+    try:
+        faces = ConvexHull(vertices).simplices
+    except (QhullError, ValueError) as error:
+        raise asset.origin.error(named(asset), "has no volume, expected vertices that are not in a plane") from error
     outward = np.linalg.det(vertices[faces] - vertices.mean(axis=0)) > 0.0
     return np.asarray(np.where(outward[:, None], faces, faces[:, ::-1]))

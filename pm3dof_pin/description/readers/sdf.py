@@ -1,9 +1,10 @@
 """SDF 1.7 to 1.11 (and earlier, as far as they agree): models whose joints may close loops.
 
 Joints that close a loop are cut, and become loop closures of their type: first balls, then universal joints, fixed
-ones, and hinges and slides, of these the last in the file; joints with a controller are kept if possible. The report
-of what was read over says which were cut. A model without a joint to the world is held at its first link. Several
-models of a world are one robot, with names such as `model::link`.
+ones, and hinges and slides, of these the last in the file; joints with a controller are kept if possible. The report of
+what was read over says which were cut. A model without a joint to the world is held at its first link, unless a
+`<pm3dof:free_joint name=''>` says of its `<child>` that it floats. Several models of a world are one robot, with names
+such as `model::link`.
 """
 
 from __future__ import annotations
@@ -54,12 +55,18 @@ _JOINT_TYPES: dict[str, JointType] = {
     "fixed": "fixed", "revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic",
     "ball": "spherical", "screw": "helical",
 }  # fmt: skip
+NAMESPACE = "urn:pm3dof-pin"
+"""Of elements that SDFormat has no words for: the names of free joints."""
+
+_FREE_JOINT = "pm3dof:free_joint"
 _TWO_AXES = ("universal", "revolute2")
 _CLOSURES: dict[str, ClosureTypeName] = {
     "fixed": "6d", "revolute": "hinge", "continuous": "hinge", "prismatic": "prismatic", "ball": "3d",
     "universal": "universal",
 }  # fmt: skip
-_KEPT_FIRST = {"screw": 0, "revolute2": 0, "fixed": 3, "universal": 4, "ball": 5}  # 1 if driven, 2 otherwise
+_KEPT_FIRST = {  # 1 if driven, 2 otherwise
+    "floating": 0, "screw": 0, "revolute2": 0, "fixed": 3, "universal": 4, "ball": 5,
+}  # fmt: skip
 _UNLIMITED = 1e15  # limits at least this large are none
 _LIMIT = Bounds("", math.inf, negative=True)
 _SIZES: dict[str, tuple[ShapeKind, tuple[tuple[str, int], ...]]] = {
@@ -82,6 +89,7 @@ _MODEL_PARTS = (
     "plugin",
     *POINT_CONSTRAINTS,
     TENDON_CONSTRAINT,
+    _FREE_JOINT,
 )
 _MODEL_PASSED = ("gripper", "enable_wind", "enable_stability", "placement_frame")
 _JOINT_PARTS = ("parent", "child", "pose", "axis", "axis2", "screw_thread_pitch", "thread_pitch")
@@ -127,6 +135,7 @@ class _SdfReader(ElementReader):
         self.scopes: dict[str, str] = {}
         self.placements: dict[str, pin.SE3] = {WORLD: pin.SE3.Identity()}
         self.bodies: dict[str, Body] = {}
+        self.free: list[tuple[str, Element]] = []  # free joints, with their scopes
         self.constraints: list[tuple[str, Element]] = []  # those of Drake, with their scopes
         self.held: tuple[str, ...] = ()  # models of a world, each held at its first link if nothing else holds it
 
@@ -142,6 +151,7 @@ class _SdfReader(ElementReader):
         joint_elements = {name: element for name, element in self.elements.items() if element.tag == "joint"}
         gears = {name: element for name, element in joint_elements.items() if element.get("type") == "gearbox"}
         edges = [self._edge(name, element) for name, element in joint_elements.items() if name not in gears]
+        edges += [self._free_edge(scope, element) for scope, element in self.free]
         drives = tuple(self._drives(model, {edge.name for edge in edges}))
         if self.held or any(WORLD in (edge.parent, edge.child) for edge in edges):
             self.bodies = {WORLD: Body(WORLD, origin=model.origin), **self.bodies}
@@ -176,10 +186,17 @@ class _SdfReader(ElementReader):
             drives=drives,
             actuated_joints=driven if closures or couplings else (),
             gravity=(0.0, 0.0, -9.81) if gravity is None else self._texts(gravity, 3, ANY, "<gravity>"),
+            configurations=self._home(edges),
             unread=tuple(self.unread),
             dialect="sdf",
             origin=self.root.origin,
         )
+
+    @staticmethod
+    def _home(edges: list[_Edge]) -> dict[str, dict[str, tuple[float, ...]]]:
+        """Return the configuration of the file, of what is not at zero there."""
+        free = [edge for edge in edges if edge.kind == "floating"]
+        return {"home": {e.name: tuple(pin.SE3ToXYZQUAT(e.placement).tolist()) for e in free}} if free else {}
 
     def _model(self, parts: tuple[Element, ...]) -> Element:
         """Return the model; included and static ones, such as the ground, are read over where there is another.
@@ -217,6 +234,8 @@ class _SdfReader(ElementReader):
         for element in self._with_included(model, depth):
             if element.tag == "plugin" and child(element, "joint_name") is None:
                 self.read_over(element)
+            if element.tag == _FREE_JOINT:
+                self.free.append((scope, element))
             if element.tag in (*POINT_CONSTRAINTS, TENDON_CONSTRAINT):
                 self.constraints.append((scope, element))
             if element.tag not in ("link", "joint", "frame", "model"):
@@ -404,6 +423,13 @@ class _SdfReader(ElementReader):
         axes = tuple(self._axis(element, tag, scope, placement, place) for tag in ("axis", "axis2"))
         return _Edge(name, kind, ends[0], ends[1], placement, axes, element)
 
+    def _free_edge(self, scope: str, element: Element) -> _Edge:
+        name, link = f"{scope}{element.get('name', '')}", self._text(element, "child")
+        if not element.get("name") or name in self.elements or not link:
+            raise element.origin.error(named(element), "expected a name of its own, and a child")
+        body = self._link_of(self._resolved(link, scope, element))
+        return _Edge(name, "floating", WORLD, body, self._placement(body), ((0.0, 0.0, 1.0),) * 2, element)
+
     def _axis(self, element: Element, tag: str, scope: str, placement: pin.SE3, place: str) -> tuple[float, ...]:
         xyz = child(child(element, tag), "xyz")
         axis = np.array([0.0, 0.0, 1.0] if xyz is None else self._texts(xyz, 3, ANY, f"{place}: {tag}"))
@@ -420,6 +446,8 @@ class _SdfReader(ElementReader):
 
     def _joints(self, edge: _Edge, *, reverse: bool) -> list[Joint]:
         """Return a joint of the tree, or two hinges of a universal one; reversed if its child carries its parent."""
+        if edge.kind == "floating":
+            return [Joint(edge.name, "floating", WORLD, edge.child, origin=edge.origin)]
         element, place = edge.element, f"joint '{edge.name}'"
         parent, other = (edge.child, edge.parent) if reverse else (edge.parent, edge.child)
         axis = child(element, "axis")
