@@ -27,7 +27,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.dynamics.damping import LOSS_FACTOR, Damping
 from pm3dof_pin.dynamics.dynamic_stiffness import RIGID, dynamic_stiffness
 from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
-from pm3dof_pin.dynamics.servo_loop import GAIN_MARGIN, ServoLimit, servo_limit
+from pm3dof_pin.dynamics.servo_loop import GAIN_MARGIN, ServoLimit, servo_limits
 from pm3dof_pin.dynamics.stability_lobes import Cutting, StabilityLobes, stability_lobes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
@@ -124,7 +124,10 @@ def receptance(
     system = vibrating_system(model, pose.configuration(), **options)
     pairs = _pairs(sources, outputs)
     frequencies = _frequencies(system, pairs, band, count)
-    curves = {pair: (_curve(system, frequencies, pair), _unit(machine, pair)) for pair in pairs}
+    curves = {
+        pair: (curve, _unit(machine, pair))
+        for pair, curve in zip(pairs, _curves(system, frequencies, pairs), strict=True)
+    }
     results = [_of_pair(system, pair, frequencies, *curves[pair]) for pair in pairs]
     result: dict[str, Any] = {
         "payload_kg": payload,
@@ -135,8 +138,9 @@ def receptance(
     lines = _lines(results)
     # a spring that is itself a servo says nothing of the structure behind one
     driven = {spring.joint for spring in model.springs if isinstance(spring, JointSpring)} - set(damping.bandwidths)
-    limits = [servo_limit(system, name) for name in machine.actuated_joints if name in driven]
-    if limits:
+    drives = [name for name in machine.actuated_joints if name in driven]
+    if drives:
+        limits = servo_limits(system, drives)
         result["servo"] = [
             {
                 "drive": limit.drive,
@@ -224,10 +228,11 @@ def _rows(system: VibratingSystem, point: str) -> Matrix:
     return system.rows([point])
 
 
-def _curve(system: VibratingSystem, frequencies: Vector, pair: tuple[str, str]) -> Array:
-    to, point = pair
-    curve: Array = system.receptance(frequencies, system.rows([to]), _rows(system, point))[:, 0, 0]
-    return curve
+def _curves(system: VibratingSystem, frequencies: Vector, pairs: Sequence[tuple[str, str]]) -> list[Array]:
+    outputs, inputs = (list(dict.fromkeys(points)) for points in zip(*pairs, strict=True))
+    rows = np.vstack([_rows(system, point) for point in inputs])
+    found = system.receptance(frequencies, system.rows(outputs), rows)
+    return [found[:, outputs.index(to), inputs.index(source)] for to, source in pairs]
 
 
 def _frequencies(

@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_args
 import numpy as np
 import typer
 
+from pm3dof_pin.capability.polytopes import MOST_FACETS, pairs_of_facets
 from pm3dof_pin.capability.transmission import (
     Transmission,
     described_gains,
@@ -31,14 +32,13 @@ from pm3dof_pin.exceptions import (
 )
 from pm3dof_pin.export.functions import Target, export_functions
 from pm3dof_pin.kinematics.assemblies import home_within_limits
-from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.grid import MOST_NUMBERS, Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Vector
 
 _POINTS = 21  # of each joint, unless that makes too many poses
 _MAX_POSES = 30_000  # of a box by default
-_MAX_NUMBERS = 100_000_000  # of all poses of a box: under a gigabyte
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +117,13 @@ class TransmissionOptions:
             part = joint_driven(part, _names(self.joints))
         except (JointNotFoundError, FrameNotFoundError, InvalidValueError) as error:
             raise typer.BadParameter(str(error)) from error
+        pairs = pairs_of_facets(len(part.actuated_joints), len(part.coordinates))
+        if pairs > MOST_FACETS:
+            raise typer.BadParameter(
+                f"{robot.name}: {len(part.actuated_joints)} drives move {len(part.coordinates)} joints together, whose "
+                f"torques have up to {pairs:,} pairs of limits, more than {MOST_FACETS:,}: take one part of the robot "
+                "with --subtree LINK, hold some joints with --hold, or name fewer with --joints"
+            )
         if part.commands and {c.name for c in part.coordinates} == {command.name for command in part.commands}:
             message(
                 "pm3dof: these coordinates are the drives' own: name the joints of the serial model with --joints A,B, "
@@ -153,7 +160,7 @@ class TransmissionOptions:
         most = _MAX_POSES / max(1, math.prod(given.values()))
         points = min(_POINTS, max(2, math.floor(most ** (1.0 / len(others)) + 1e-9))) if others else 0
         count = math.prod(given.values()) * points ** len(others)
-        if count * (robot.model.nq + len(robot.actuated_joints) * len(robot.coordinates) ** 2) > _MAX_NUMBERS:
+        if count * (robot.model.nq + len(robot.actuated_joints) * len(robot.coordinates) ** 2) > MOST_NUMBERS:
             raise typer.BadParameter(
                 f"a box of {count:,} poses of {len(robot.coordinates)} joints is too large: name fewer with --joints, "
                 "or give --over smaller counts"

@@ -17,7 +17,7 @@ D^-1 Z^T b^T; the shares sum to G. This is for small vibrations about an unloade
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -42,6 +42,7 @@ from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 _FRAME_POINT = re.compile(rf"(?P<frame>.+):(?P<component>{'|'.join(TOOL_COMPONENTS)})")
 
 _POINTS_PER_MODE = 241
+_AT_ONCE = 1_000_000  # entries of matrices of which several are held together
 _DAMPINGS = 30.0  # half-width of the finely sampled band about a natural frequency, in dampings
 
 
@@ -102,10 +103,21 @@ class VibratingSystem:
             FreeDirectionError: a frequency is zero, and an input moves an output with all springs at rest.
         """
         omegas = angular_frequencies(frequencies)
-        left, right = outputs @ self.shapes, inputs @ self.shapes
-        response = np.linalg.solve(self._dynamic_stiffness(omegas), right.T[None].astype(complex))
+        left = outputs @ self.shapes
+        bound = np.concatenate([left @ response for response in self._responses(omegas, inputs)])
         free = (outputs @ self.free_motions) @ (inputs @ self.free_motions).T
-        return left @ response - _over_squares(free, omegas)
+        return np.asarray(bound - _over_squares(free, omegas))
+
+    def direct_receptances(self, frequencies: ArrayLike, points: Matrix) -> Array:
+        """Return G at frequencies [Hz] from each of some rows of Jacobians to itself, shape=(f, p), complex.
+
+        Errors as :meth:`receptance`.
+        """
+        omegas = angular_frequencies(frequencies)
+        left = points @ self.shapes
+        parts = [np.einsum("pe,fep->fp", left, response) for response in self._responses(omegas, points)]
+        free: Matrix = np.sum((points @ self.free_motions) ** 2, axis=1, keepdims=True).T
+        return np.asarray(np.concatenate(parts) - _over_squares(free, omegas)[:, 0])
 
     def frequencies_around_modes(self) -> Vector:
         """Return frequencies up to 30 dampings from the natural ones, denser near them, ascending [Hz]."""
@@ -175,6 +187,13 @@ class VibratingSystem:
         seen = (outputs @ self.shapes[:, kept] / roots) @ right
         excited = left @ (inputs @ self.shapes[:, kept] / roots).T
         return poles, seen, excited
+
+    def _responses(self, omegas: Vector, inputs: Matrix) -> Iterator[Array]:
+        """Yield D^-1 Z^T b^T of rows of Jacobians, shape=(f, e, i), some frequencies at a time."""
+        right = (inputs @ self.shapes).T[None].astype(complex)
+        count = 1 + _AT_ONCE // max(self.structural.size, right.size)
+        for first in range(0, max(len(omegas), 1), count):
+            yield np.linalg.solve(self._dynamic_stiffness(omegas[first : first + count]), right)
 
     def _dynamic_stiffness(self, omegas: Vector) -> Array:
         inertia = omegas[:, None, None] ** 2 * np.diag(self.inverse_squares)

@@ -9,6 +9,7 @@ Other drives are held by their springs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from pm3dof_pin.dynamics.receptance import VibratingSystem
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Array, Vector
 
 GAIN_MARGIN = 2.0
 """Gain at which the loop would become unstable, relative to the one recommended."""
@@ -50,13 +52,26 @@ def servo_limit(system: VibratingSystem, drive: str) -> ServoLimit:
         InvalidValueError: the drive has no spring at its joint.
         PM3DofError: as :meth:`~pm3dof_pin.dynamics.receptance.VibratingSystem.receptance`.
     """
+    return servo_limits(system, [drive])[0]
+
+
+def servo_limits(system: VibratingSystem, drives: Sequence[str]) -> list[ServoLimit]:
+    """Return the limits of the position loops of drives, each with the others held; errors as :func:`servo_limit`."""
     springs = {spring.joint: spring for spring in system.model.springs if isinstance(spring, JointSpring)}
-    if drive not in springs:
-        raise InvalidValueError("drive", drive, f"one with a spring at its joint: {', '.join(springs) or 'none'}")
-    joint = system.rows([drive])
+    for drive in drives:
+        if drive not in springs:
+            raise InvalidValueError("drive", drive, f"one with a spring at its joint: {', '.join(springs) or 'none'}")
     frequencies = system.frequencies_around_modes()
     frequencies = frequencies[frequencies > 0.0]
-    followed = springs[drive].stiffness * system.receptance(frequencies, joint, joint)[:, 0, 0]
+    receptances = system.direct_receptances(frequencies, system.rows(drives))
+    return [
+        _limit(drive, frequencies, springs[drive].stiffness * receptance)
+        for drive, receptance in zip(drives, receptances.T, strict=True)
+    ]
+
+
+def _limit(drive: str, frequencies: Vector, followed: Array) -> ServoLimit:
+    """Return the limit of a drive by how its joint follows the motor's side at frequencies, shape=(f,)."""
     real = followed.real
     crossed = np.flatnonzero((real[:-1] > 0.0) != (real[1:] > 0.0))
     part = real[crossed] / (real[crossed] - real[crossed + 1])

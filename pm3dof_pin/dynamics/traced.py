@@ -95,6 +95,7 @@ def _shared_drive_motions(tree: Tree, doubt: Doubt) -> _DriveMotions | None:
         return None
     columns = list(result.columns)
     triangle = result.pivot_rows[:, columns]
+    doubt.note_basis(triangle)
     lower = triangle.T[::-1, ::-1]  # of which the other triangle is empty, from the end
     across = solve_upper(lower, rates[:, columns].T[::-1])[::-1]
     shares = solve_upper(triangle, across)

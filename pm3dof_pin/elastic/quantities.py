@@ -63,7 +63,8 @@ def _principal(roots: Roots) -> Objects:
     for block in range(2):
         squares = squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
         rigid = squares[-1] * ROUNDING
-        result[block] = [1.0 / select(less(rigid, s), s, 0.0) for s in reversed(squares)]
+        elastic = [select(less(rigid, s), s, 0.0) for s in reversed(squares)]
+        result[block] = [math.inf if is_zero(s) else 1.0 / s for s in elastic]
     return result
 
 
@@ -76,6 +77,8 @@ def _conditioning(roots: Roots) -> Objects:
     translation, rotation = (
         total([entry * entry for entry in columns[rows].ravel()]) for rows in (slice(0, 3), slice(3, 6))
     )
+    if is_zero(translation) or is_zero(rotation):  # the tool is free
+        return np.full(7, math.nan, dtype=object)
     length = sqrt(rotation / translation)
     scaled = columns.copy()
     scaled[3:] = scaled[3:] * (1.0 / length)

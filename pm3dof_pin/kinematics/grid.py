@@ -14,6 +14,21 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
 
+MOST_NUMBERS = 100_000_000
+"""Most numbers of all poses of a grid that are computed at once: under a gigabyte."""
+
+
+def require_few(poses: int, numbers: int) -> None:
+    """Check that poses with so many numbers each can be computed at once.
+
+    Raises:
+        InvalidValueError: they cannot.
+    """
+    if poses * numbers > MOST_NUMBERS:
+        most = f"at most {MOST_NUMBERS // numbers:,} at once"
+        ways = "give ranges (--range) fewer points, or some coordinates one value (--at)"
+        raise InvalidValueError("grid", f"{poses:,} poses", f"{most}: {ways}")
+
 
 @dataclass(frozen=True, eq=False)
 class Grid:
@@ -65,7 +80,12 @@ class Grid:
 
     @cached_property
     def values(self) -> Array:
-        """The coordinates of every pose, shape=(*shape, number of coordinates) [m, rad]."""
+        """The coordinates of every pose, shape=(*shape, number of coordinates) [m, rad].
+
+        Raises:
+            InvalidValueError: there are too many.
+        """
+        require_few(self.size, len(self.coordinates))
         values = np.empty((*self.shape, len(self.coordinates)))
         dims = self.dims
         for column, coordinate in enumerate(self.coordinates):

@@ -29,7 +29,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
-from pm3dof_pin.programs.closed_motions import closed_motions
+from pm3dof_pin.programs.closed_motions import all_motions
 from pm3dof_pin.programs.derivatives import derivatives
 from pm3dof_pin.programs.elimination import DROPPED, Doubt, eliminate, identity, product, samples, solve_upper, zeros
 from pm3dof_pin.programs.graph import Graph, Scalar, sqrt
@@ -373,7 +373,7 @@ def recorded_motions(tree: Tree, by: Sequence[Rate], of: Sequence[Rate], doubt: 
     """
     robot = tree.mechanism
     unit, slides = robot.length_unit, tree.slides
-    basis = closed_motions(tree, [], range(robot.model.nv), unit, doubt).idle
+    basis = all_motions(tree, range(robot.model.nv), unit, doubt)
     basis[slides] = basis[slides] * unit
     factors = [
         np.array([[1.0 / ((unit if rate.unit == "m/s" else 1.0) * abs(rate.scale))] for rate in rates])
@@ -385,6 +385,7 @@ def recorded_motions(tree: Tree, by: Sequence[Rate], of: Sequence[Rate], doubt: 
     if len(pivots) < min(len(by), basis.shape[1] - len(dropped)):
         raise ProgramError(f"{robot.name}: the rates that are given depend on each other")
     triangle = solved.pivot_rows[:, pivots]
+    doubt.note_basis(triangle)
     at_rest = zeros(basis.shape[1], len(dropped))  # motions that the given rates do not see
     for column, index in enumerate(dropped):
         at_rest[index, column] = 1.0

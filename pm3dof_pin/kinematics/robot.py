@@ -32,7 +32,7 @@ from pm3dof_pin.exceptions import (
 )
 from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.branches import branches_of, not_closed, start_of
-from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.grid import Grid, require_few
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.kinematics.pose_search import Solution, Solver, find_poses
 from pm3dof_pin.kinematics.poses import REACH, Poses
@@ -237,8 +237,8 @@ class Robot(PlacedMechanism):
             values: by coordinate, (first, last, count) for a dimension of the grid, or one value [m, rad].
 
         Raises:
-            InvalidValueError: an unknown coordinate, a range that is not two finite ends and a count of at least 1, or
-                values that look like millimetres or degrees.
+            InvalidValueError: an unknown coordinate, a range that is not two finite ends and a count of at least 1
+                or too many, or values that look like millimetres or degrees.
         """
         axes: dict[str, Array] = {}
         fixed = {c.name: float(v) for c, v in zip(self.coordinates, self.home_coordinates, strict=True)}
@@ -249,6 +249,7 @@ class Robot(PlacedMechanism):
                 numbers = finite_array(f"range of {name}", value, (len(value),))
                 if len(numbers) != 3 or numbers[2] % 1.0 or numbers[2] < 1.0:
                     raise InvalidValueError(f"range of {name}", value, "first, last and a count of at least 1")
+                require_few(int(numbers[2]), 1)
                 axes[name] = np.linspace(numbers[0], numbers[1], int(numbers[2]))
             else:
                 fixed[name] = float(finite_array(name, value, ()))

@@ -20,6 +20,9 @@ from pm3dof_pin.programs.motion_equations import joint_columns, motion_equations
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
 
+_OF_CHAIN = 2
+"""How many loops share a joint between two loops of a chain; a platform's joints are shared by more."""
+
 
 @dataclass(frozen=True, eq=False)
 class ClosedMotions:
@@ -57,10 +60,16 @@ def all_motions(tree: Tree, order: Sequence[int], unit: float, doubt: Doubt) -> 
     """Record a basis of the motions that keep the loops closed, by a unit of length [m], shape=(nv, mobility).
 
     Joints follow whichever others their own loops leave free, so that a platform on many legs takes operations in
-    proportion to these. `order` are the joints' entries of v; of equally sparse ones, the last follow first.
+    proportion to these. What more loops share follows later: legs follow their platform, which some of their joints
+    would place badly at many poses. `order` are the joints' entries of v; of equally sparse ones, the last follow
+    first.
     """
     equations = motion_equations(tree, unit, joint_columns(tree, order))
-    result = eliminate(equations.rates, range(equations.unknown), doubt)
+    turns = [
+        max(_OF_CHAIN, len({block.closure for block in equations.blocks if not all(map(is_zero, column[block.rows]))}))
+        for column in equations.rates.T[: equations.unknown]
+    ]
+    result = eliminate(equations.rates, range(equations.unknown), doubt, turns=turns)
     return _motions(result, result.dropped, dict(enumerate(order)), len(tree.screws))
 
 

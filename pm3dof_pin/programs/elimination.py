@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 
 import numpy as np
 
@@ -25,6 +26,11 @@ _SHARE = 0.1  # of the best pivot's relative length; sufficient for a pivot that
 
 PIVOT = 1e-5
 """Smaller pivots leave a rank in doubt."""
+
+_SPREAD = 1e-3
+"""Least ratio of a basis' pivots: errors are rounding over its square, some 1e-10 then."""
+
+_OF_USUAL = 0.1  # of the usual ratio: where that is less by units, it is no loss
 
 _SWEEPS = 6  # of rotations, for singular values
 _TINY = 1e-300
@@ -44,6 +50,13 @@ class Doubt:
     def note_pivot(self, size: Scalar) -> None:
         """Record the size of a pivot."""
         self.pivot = minimum(self.pivot, size)
+
+    def note_basis(self, triangle: Objects) -> None:
+        """Record how far apart the pivots are by which a basis of motions is combined to others."""
+        sizes = [absolute(entry) for entry in triangle.diagonal()]
+        if len(sizes) > 1:
+            spread = reduce(minimum, sizes) / reduce(maximum, sizes)
+            self.note_pivot(spread * (PIVOT / min(_SPREAD, _OF_USUAL * typical(samples(spread)))))
 
     def drop(self, entries: Sequence[Scalar]) -> None:
         """Record entries assumed to be zero."""
@@ -124,8 +137,13 @@ class Elimination:
         return sum(4 * len(r.indices) for r in self.reflections if len(r.indices) > 1)
 
 
-def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Elimination:
-    """Eliminate columns from a system of rows by Householder reflections: the sparsest first, of equals the last."""
+def eliminate(
+    system: Objects, columns: Sequence[int], doubt: Doubt, *, turns: Sequence[int] | None = None
+) -> Elimination:
+    """Eliminate columns from a system of rows by Householder reflections: the sparsest first, of equals the last.
+
+    Given the `turns` of columns, those of a lower one come before the others.
+    """
     rows = [list(row) for row in system]
     active = list(range(len(rows)))
     usual = {c: typical(_lengths([row[c] for row in rows])) for c in columns}
@@ -151,7 +169,7 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
                 sizes[c] = typical(lengths) / usual[c]
         if not sizes:
             break
-        chosen = _pivot(rows, fronts, sizes)
+        chosen = _pivot(rows, fronts, sizes, turns)
         touched: set[int] = set()
         kept: list[int] = []
         groups = _alike(fronts[chosen], rows)
@@ -180,9 +198,14 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     )
 
 
-def _pivot(rows: Sequence[Sequence[Scalar]], fronts: Mapping[int, list[int]], sizes: Mapping[int, float]) -> int:
-    """Return the sparsest column, of equals the last, that is not much shorter than the others in its rows."""
-    ordered = sorted(sizes, key=lambda c: (len(fronts[c]), -c))
+def _pivot(
+    rows: Sequence[Sequence[Scalar]],
+    fronts: Mapping[int, list[int]],
+    sizes: Mapping[int, float],
+    turns: Sequence[int] | None,
+) -> int:
+    """Return the first column in order that is not much shorter than the others in its rows."""
+    ordered = sorted(sizes, key=lambda c: (turns[c] if turns else 0, len(fronts[c]), -c))
     for c in ordered:
         if sizes[c] >= _SHARE:  # of one
             return c

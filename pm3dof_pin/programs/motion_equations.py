@@ -51,6 +51,7 @@ class Block:
     rows: slice
     terms: Mapping[Mover, float]  #: the factors of the twists
     taken: Objects  #: what is taken from a scaled twist at the origin of x's frame, shape=(number of rows, 6)
+    closure: int | None  #: the closure that it is of; None for x's frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +97,12 @@ def motion_equations(
     origin = tree.frame(frame).translation if frame else objects([0.0, 0.0, 0.0])
     twists, rates, blocks = [zeros(0, 6)], [zeros(0, len(columns))], list[Block]()
 
-    def record(terms: Mapping[Mover, float], point: Objects, taken: Objects, share: float) -> None:
+    def record(
+        terms: Mapping[Mover, float], point: Objects, taken: Objects, share: float, closure: int | None = None
+    ) -> None:
         first = sum(map(len, rates))
         at_frame = product(taken, _transfer((point - origin) * (1.0 / unit)))
-        blocks.append(Block(slice(first, first + len(taken)), terms, at_frame))
+        blocks.append(Block(slice(first, first + len(taken)), terms, at_frame, closure))
         twists.append(at_frame * share)
         rates.append(product(taken, _velocities(columns, terms, point, unit)))
 
@@ -117,12 +120,12 @@ def motion_equations(
             share = 0.0
         elif frame:
             terms = _sum(terms, {frame: 1.0}, -share)
-        record(terms, point, apply_rows(held_twist(kind, a, b), identity(6)), share)
+        record(terms, point, apply_rows(held_twist(kind, a, b), identity(6)), share, index)
         if index not in needed:
             continue
         free[index] = []
         for direction in _free_directions(tree, index):
-            record(terms, point, direction[None], share)
+            record(terms, point, direction[None], share, index)
             number = len(columns)
             if not displaced and all(map(is_zero, [*twists[-1][0], *rates[-1][0]])):
                 continue  # 0 = 0: the chains cannot move that way

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,9 @@ from pm3dof_pin.capability.serial_model import serial_model
 from pm3dof_pin.capability.transmission import Transmission, drive_values, held_outside, joint_driven, transmission
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import legs
 
 _ANKLE = Path(__file__).parents[1] / "machines" / "ankle" / "ankle.xml"
 
@@ -247,6 +251,15 @@ def test_wrong_usage_is_named(run: Callable[..., Any], options: str, words: str)
     assert result.returncode == 2
     assert words in " ".join(result.stderr.split())
     assert result.stdout == ""
+
+
+def test_too_many_drives_are_refused_before_work(run: Callable[..., Any], tmp_path: Path) -> None:
+    """5 of 48 drives bound each pair of limits of six joints: 48! / (5! 43!)."""
+    result = run("transmission", "--robot", str(legs(48).write(tmp_path)))
+    assert result.returncode == 2
+    words = " ".join(result.stderr.split())
+    assert "48 drives move 6 joints together" in words
+    assert "1,712,304 pairs" in words
 
 
 @pytest.mark.parametrize(

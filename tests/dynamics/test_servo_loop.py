@@ -8,9 +8,10 @@ import pytest
 from scipy.linalg import expm
 
 import pm3dof_pin as pm
+from pm3dof_pin.dynamics import receptance
 from pm3dof_pin.dynamics.damping import Damping
 from pm3dof_pin.dynamics.receptance import VibratingSystem, vibrating_system
-from pm3dof_pin.dynamics.servo_loop import servo_limit
+from pm3dof_pin.dynamics.servo_loop import servo_limit, servo_limits
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
@@ -63,6 +64,22 @@ def test_two_modes_in_time() -> None:
     limit = servo_limit(_carts(2), "first")
     assert not _grows(0.97 * limit.critical_gain)
     assert _grows(1.03 * limit.critical_gain)
+
+
+def test_dynamic_stiffness_is_solved_once_for_all_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = pm.ElasticModel.load("hexapod")
+    system, drives = vibrating_system(model, model.rigid.home), list(model.rigid.actuated_joints)
+    own = [servo_limit(system, drive) for drive in drives]
+    solved, solve = [], np.linalg.solve
+    monkeypatch.setattr(np.linalg, "solve", lambda a, b: solved.append(len(a)) or solve(a, b))
+    monkeypatch.setattr(receptance, "_AT_ONCE", 1000)
+    found = servo_limits(system, drives)
+    assert sum(solved) == len(system.frequencies_around_modes())
+    assert max(solved) <= 1 + 1000 // system.structural.size
+    for limit, alone in zip(found, own, strict=True):
+        assert limit.drive == alone.drive
+        assert limit.critical_gain == pytest.approx(alone.critical_gain, rel=1e-12)
+        assert limit.critical_frequency == pytest.approx(alone.critical_frequency, rel=1e-12)
 
 
 def test_drives_of_robots() -> None:

@@ -74,6 +74,38 @@ def test_principal_stiffnesses_of_a_planar_machine_are_infinite_across_its_plane
     np.testing.assert_allclose(found, np.column_stack([in_plane, np.full(5, np.inf)]), rtol=1e-10)
 
 
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+def test_a_tool_on_the_axes_of_a_pan_tilt_is_rigid_but_for_two_rotations(
+    rigid_tree: Callable[..., Robot], engine: Engine
+) -> None:
+    """Its axes are at right angles whatever the pan, so that its principal stiffnesses are those of the springs."""
+    robot = rigid_tree(
+        [("pan", "universe", IDENTITY, pin.JointModelRZ()), ("tilt", "pan", IDENTITY, pin.JointModelRY())],
+        actuated_joints=["pan_joint", "tilt_joint"],
+        tool_frame="tilt",
+    )
+    springs = [JointSpring(f"{n}_spring", f"{n}_joint", k, "N m/rad") for n, k in (("pan", 1e3), ("tilt", 2e3))]
+    found = evaluate(
+        ElasticModel(robot, springs), np.array([[0.0, 0.0], [0.3, -0.4]]), PRINCIPAL_STIFFNESS, engine=engine
+    )
+    np.testing.assert_array_equal(found.values[:, 0], np.inf)
+    np.testing.assert_allclose(found.values[:, 1], [[1e3, 2e3, np.inf]] * 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+@pytest.mark.parametrize("is_sprung", ["slides", "turns"])
+def test_a_free_tool_has_no_conditioning(rigid_tree: Callable[..., Robot], is_sprung: str, engine: Engine) -> None:
+    slides = [pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ()]
+    turns = [pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ()]
+    names = ["universe", *(f"{kind}{k}" for kind in ("slides", "turns") for k in range(3))]
+    parts = zip(names[1:], names, [*slides, *turns], strict=False)
+    driven = [f"{is_sprung}{k}_joint" for k in range(3)]
+    robot = rigid_tree([(n, p, IDENTITY, j) for n, p, j in parts], actuated_joints=driven, tool_frame="turns2")
+    unit = "N/m" if is_sprung == "slides" else "N m/rad"
+    model = ElasticModel(robot, [JointSpring(f"{joint}_spring", joint, 1e5, unit) for joint in driven])
+    assert np.isnan(evaluate(model, np.full((1, 6), 0.1), CONDITIONING, engine=engine).values).all()
+
+
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod", "three_rps", "delta"])
 def test_stiffness_is_the_inverse(name: str) -> None:
     model = load(name)

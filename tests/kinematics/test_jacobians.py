@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,9 @@ import pm3dof_pin as pm
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import legs
 
 _MACHINES = Path(__file__).parents[1] / "machines"
 _ROBOTS = {
@@ -121,3 +125,12 @@ def test_counters_in_micrometres_determine_the_pose() -> None:
         there = pm.jacobian(robot, poses, of="commands", by="coordinates", engine=engine).values
         back = pm.jacobian(robot, poses, of="coordinates", by="commands", engine=engine).values
         np.testing.assert_allclose(there @ back, np.broadcast_to(np.eye(3), there.shape), atol=1e-8)
+
+
+def test_no_pose_of_many_legs_is_less_accurate(tmp_path: Path) -> None:
+    """Motions are combined of the platform's, which legs follow at every pose, not of those of some legs' joints."""
+    robot = Robot.load(legs(12).write(tmp_path))
+    poses = pm.reachable_poses(robot, 500, np.random.default_rng(0))
+    found = jacobian(robot, poses, of="coordinates", by="tool").values
+    own = jacobian(robot, poses, of="coordinates", by="tool", engine="pinocchio").values
+    assert np.abs(found - own).max() <= 1e-12 * np.abs(own).max()

@@ -108,6 +108,16 @@ def test_the_complement_spans_what_columns_leave() -> None:
         np.testing.assert_allclose(gram, matrices[k].T @ matrices[k], atol=1e-12)
 
 
+def test_columns_wait_for_their_turn_unless_they_are_needed() -> None:
+    """The two columns left free are those of the later turn, though sparser; but a column that is almost zero waits."""
+    generator = np.random.default_rng(6)
+    values = generator.standard_normal((SAMPLES, 2, 4))
+    values[:, 1, 2], values[:, 0, 3] = 0.0, 0.0
+    assert eliminate(recorded(Graph(), values, "A"), range(4), Doubt(), turns=[1, 1, 2, 2]).dropped == (2, 3)
+    values[:, :, 1] = 2.0 * values[:, :, 0] + 1e-6 * values[:, :, 1]
+    assert set(eliminate(recorded(Graph(), values, "A"), range(4), Doubt(), turns=[1, 1, 2, 2]).columns) & {2, 3}
+
+
 def test_rows_apart_stay_apart() -> None:
     """Two systems without common columns cost no more together than separately."""
     generator = np.random.default_rng(4)
