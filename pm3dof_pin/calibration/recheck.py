@@ -58,7 +58,9 @@ class Recheck:
     #: the zeros are set [m]
     off_if_kept: float
     off_if_zeroed: float
-    zeros: Array  #: what to add to the readings of the drives' joints to have their places, shape=(drives,) [m, rad]
+    #: what to add to the drives' readings to have their places, in the direction of the counters and the units of the
+    #: joints, shape=(drives,) [m, rad]
+    zeros: Array
     zero_sigmas: Array  #: its standard deviation [m, rad]
     detectable: Array  #: change of each zero that these rows show with 95 % probability, shape=(drives,) [m, rad]
     rows: int  #: number of rows
