@@ -33,8 +33,8 @@ from pm3dof_pin.typing import Objects, Vector
 WORKING = "@"
 """Prefix of joints and frames placed in working axes."""
 
-WORKING_AXES = f"{WORKING}base"
-"""The placement of the working axes in the world."""
+WORKING_AXES = WORKING
+"""Owner of the placement of the working axes in the world: no joint has an empty name."""
 
 _CONSTANTS = (0.0, 1.0, -1.0)
 _MANY_MORE = 2.0  # times as many constants: placing the tool in the world costs operations, too
