@@ -32,13 +32,14 @@ from pm3dof_pin.exceptions import (
 )
 from pm3dof_pin.export.functions import Target, export_functions
 from pm3dof_pin.kinematics.assemblies import home_within_limits
-from pm3dof_pin.kinematics.grid import MOST_NUMBERS, Grid
+from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Vector
 
 _POINTS = 21  # of each joint, unless that makes too many poses
 _MAX_POSES = 30_000  # of a box by default
+_MAX_NUMBERS = 100_000_000  # of all poses of a box: under a gigabyte
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +161,7 @@ class TransmissionOptions:
         most = _MAX_POSES / max(1, math.prod(given.values()))
         points = min(_POINTS, max(2, math.floor(most ** (1.0 / len(others)) + 1e-9))) if others else 0
         count = math.prod(given.values()) * points ** len(others)
-        if count * (robot.model.nq + len(robot.actuated_joints) * len(robot.coordinates) ** 2) > MOST_NUMBERS:
+        if count * (robot.model.nq + len(robot.actuated_joints) * len(robot.coordinates) ** 2) > _MAX_NUMBERS:
             raise typer.BadParameter(
                 f"a box of {count:,} poses of {len(robot.coordinates)} joints is too large: name fewer with --joints, "
                 "or give --over smaller counts"

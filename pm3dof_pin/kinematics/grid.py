@@ -14,8 +14,8 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
 
-MOST_NUMBERS = 100_000_000
-"""Most numbers of all poses of a grid that are computed at once: under a gigabyte."""
+MOST_NUMBERS = 1_000_000_000
+"""Most coordinates of all poses of a grid that are computed at once: 8 GB."""
 
 
 def require_few(poses: int, numbers: int) -> None:

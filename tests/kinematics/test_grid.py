@@ -28,9 +28,9 @@ def test_a_grid_that_is_none(mechanism: Robot, axes: Any, fixed: Any, said: str)
 
 
 def test_a_grid_of_too_many_poses_is_refused_before_memory_is_taken(mechanism: Robot) -> None:
-    """600^3 poses of three coordinates, 648 million numbers; the axes alone of 10^12."""
-    axes = {name: np.linspace(0.0, 0.1, 600) for name in ("theta_x", "theta_y", "z_e")}
-    with pytest.raises(InvalidValueError, match=r"216,000,000 poses: expected at most 33,333,333 at once: .*--range"):
+    """900^3 poses of three coordinates, 2,187 million numbers; the axes alone of 10^12."""
+    axes = {name: np.linspace(0.0, 0.1, 900) for name in ("theta_x", "theta_y", "z_e")}
+    with pytest.raises(InvalidValueError, match=r"729,000,000 poses: expected at most 333,333,333 at once: .*--range"):
         mechanism.solve(Grid(mechanism.coordinates, axes, {}))
     with pytest.raises(InvalidValueError, match=r"1,000,000,000,000 poses"):
         mechanism.grid(theta_x=(0.0, 0.1, 10**12))
