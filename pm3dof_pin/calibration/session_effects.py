@@ -20,6 +20,7 @@ from pm3dof_pin.errors.command_correction import command_scales, weighted_contro
 from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.pose_error import moved_pose, tip_weights
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.joint_columns import approach_columns
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array
 
@@ -133,11 +134,6 @@ class SessionEffects:
     def _part(self, times: Array | float, poses: Poses) -> Array:
         """Return the part of the drift at times, -1/2 at the start of the session."""
         return np.broadcast_to((np.asarray(times, dtype=float) - self.start) / self.duration - 0.5, len(poses))
-
-
-def approach_columns(drives: int) -> tuple[str, ...]:
-    """Return the conditions with which hysteresis is corrected: approach_u1, approach_u2 ..."""
-    return tuple(f"approach_u{k}" for k in range(1, drives + 1))
 
 
 def approaches_along(commands: Array) -> Array:

@@ -12,7 +12,7 @@ import typer
 
 from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
 from pm3dof_pin.calibration.folder import read_compensation
-from pm3dof_pin.calibration.session_effects import approach_columns, approaches_along
+from pm3dof_pin.calibration.session_effects import approaches_along
 from pm3dof_pin.cli.options import Json, OutFile, PlaceOptions, PoseOptions, Wrench
 from pm3dof_pin.cli.output import message, progress_bar, table_lines
 from pm3dof_pin.cli.poses import (
@@ -28,7 +28,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.pose_file import readings
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import coordinate_scales
-from pm3dof_pin.measuring.joint_columns import drive_names
+from pm3dof_pin.measuring.joint_columns import approach_columns, drive_names
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array

@@ -14,8 +14,7 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
 
-MOST_NUMBERS = 1_000_000_000
-"""Most coordinates of all poses of a grid that are computed at once: 8 GB."""
+_MAX_NUMBERS = 1_000_000_000  # coordinates of all poses of a grid that are computed at once: 8 GB
 
 
 def require_few(poses: int, numbers: int) -> None:
@@ -24,8 +23,8 @@ def require_few(poses: int, numbers: int) -> None:
     Raises:
         InvalidValueError: they cannot.
     """
-    if poses * numbers > MOST_NUMBERS:
-        most = f"at most {MOST_NUMBERS // numbers:,} at once"
+    if poses * numbers > _MAX_NUMBERS:
+        most = f"at most {_MAX_NUMBERS // numbers:,} at once"
         ways = "give ranges (--range) fewer points, or some coordinates one value (--at)"
         raise InvalidValueError("grid", f"{poses:,} poses", f"{most}: {ways}")
 

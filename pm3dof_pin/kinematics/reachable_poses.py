@@ -123,7 +123,7 @@ def _walked(robot: Robot, count: int, generator: np.random.Generator, margin: fl
         taken += len(moved) * (1 - step % 2)
         if step < forgotten and not step % 2:  # thereafter the length is fixed
             length *= 1.1 if len(moved) > _TAKEN * _WALKERS else 0.9 if taken else 0.5
-            if length < _NOWHERE:
+            if length < _NOWHERE and not taken:
                 break
         if step >= forgotten and (step + 1 - forgotten) % (2 * _STEPS_APART * size) == 0:
             poses = np.concatenate([poses, q])

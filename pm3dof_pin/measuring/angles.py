@@ -9,6 +9,7 @@ import scipy
 
 from pm3dof_pin.csv_table import CsvTable
 from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.kinematics.pose_file import PLACEMENT
 from pm3dof_pin.typing import Array
 
 AngleOrder = Literal[
@@ -36,7 +37,7 @@ AngleOrder = Literal[
 
 _ABOUT_AXES = ("rx_rad", "ry_rad", "rz_rad")
 _NUMBERED = ("euler1_rad", "euler2_rad", "euler3_rad")
-_QUATERNION = ("qw", "qx", "qy", "qz")
+_QUATERNION = PLACEMENT[3:]
 
 
 def angle_columns(table: CsvTable) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from pm3dof_pin.files import csv_text, write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
 from pm3dof_pin.measuring.instruments.sphere import BALLBAR, BALLBAR_LENGTH
-from pm3dof_pin.measuring.joint_columns import command_columns
+from pm3dof_pin.measuring.joint_columns import approach_columns, command_columns
 from pm3dof_pin.typing import Array
 
 CirclePlane = Literal["xy", "yz", "zx"]
@@ -132,7 +132,7 @@ def ballbar_columns(
     found |= {"distance_m": circle.length + readings, "sigma_distance_m": np.full(len(chosen), BALLBAR.sigma)}
     found |= {"sphere": np.full(len(chosen), float(sphere))}
     directions = np.sign(np.round(commands - before, 9))
-    return found | {f"approach_u{k}": column for k, column in enumerate(directions.T, start=1)}
+    return found | dict(zip(approach_columns(len(directions.T)), directions.T, strict=True))
 
 
 def write_ballbar(traces: Sequence[dict[str, Array]], path: Path | str) -> Path:

@@ -39,9 +39,9 @@ def start_columns(robot: Robot) -> tuple[str, ...]:
     return tuple(f"from_{name}" for name in command_columns(robot))
 
 
-def approach_columns(robot: Robot) -> tuple[str, ...]:
-    """Return the columns of the drives' approach directions: approach_u1, approach_u2 ..."""
-    return tuple(f"approach_u{k}" for k in range(1, len(robot.commands) + 1))
+def approach_columns(drives: int) -> tuple[str, ...]:
+    """Return the columns of the approach directions of so many drives: approach_u1, approach_u2 ..."""
+    return tuple(f"approach_u{k}" for k in range(1, drives + 1))
 
 
 def encoder_column(robot: Robot, joint: str) -> str:

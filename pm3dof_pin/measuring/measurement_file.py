@@ -89,7 +89,7 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
         if numbers is not None:
             columns |= {name: np.where(numbers > 0, numbers, np.nan)}
     if measurements.approaches is not None:
-        columns |= zip(approach_columns(robot), measurements.approaches.T, strict=True)
+        columns |= zip(approach_columns(len(robot.commands)), measurements.approaches.T, strict=True)
     return write_text_atomically(path, csv_of_columns(columns | measurements.conditions))
 
 
@@ -289,7 +289,7 @@ class _Reader:
 
         Some positions alone, or orientations alone, are enough if no other column could hold the rest.
         """
-        header, approaches = self._table.header, approach_columns(self._robot)
+        header, approaches = self._table.header, approach_columns(len(self._robot.commands))
         positions = tuple(name for name in _POSITION if name in header)
         beside = (*_POINT, *_SIGMAS[:3]) if positions else (*_QUATERNION, *_SIGMAS[3:])
         known = {*self._command_columns, *positions, *beside, _TIME, *approaches}
@@ -640,7 +640,7 @@ class _Reader:
         )
 
     def _approaches(self, commands: Array) -> Array | None:
-        names = approach_columns(self._robot)
+        names = approach_columns(len(self._robot.commands))
         if names[0] in self._table:
             approaches = self._table.matrix(names)
             wrong = ~np.isin(approaches, (-1.0, 0.0, 1.0)).all(axis=1)

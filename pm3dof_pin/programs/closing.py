@@ -272,7 +272,7 @@ def same_side(
     if not _without_sign(Tree(Graph(), mechanism, samples, in_working_axes=True), task):
         return np.True_
     tree = Tree(graph, mechanism, samples, positions=q, dense=dense, in_working_axes=True)
-    other = Tree(graph, mechanism, samples, positions=before, geometry=tree.geometry, in_working_axes=True)
+    other = Tree(graph, mechanism, samples, positions=before, geometry=tree.geometry)
     is_same: Truth = np.True_
     for a, b in zip(_without_sign(tree, task), _without_sign(other, task), strict=True):
         is_same = is_same & ~_is_flipped(_determinant(a.matrix.T @ b.matrix))

@@ -147,6 +147,7 @@ class Geometry:
     ) -> None:
         self._graph = graph
         self._numbers = numbers(mechanism, frames)
+        self.in_working_axes = in_working_axes
         self._moved = set(placed_on_base(mechanism, frames)) if in_working_axes else set[str]()
         self._dense = dense
         self._known: dict[str, Number | float] = {}

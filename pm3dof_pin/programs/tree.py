@@ -28,7 +28,7 @@ class Tree:
         frames: frames needed in addition to those of the closures and the tool.
         positions: numbers to use for q instead of new inputs, shape=(nq,).
         dense: whether every entry of the geometry is a parameter, see :mod:`pm3dof_pin.programs.geometry`.
-        geometry: that of another tree of the mechanism in the same graph.
+        geometry: that of another tree of the mechanism in the same graph, whose axes are this one's too.
         in_working_axes: whether placements and screws are in the geometry's working axes instead of the world's.
 
     Attributes:
@@ -65,7 +65,7 @@ class Tree:
             positions = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(model.nq)])
         self.q: Objects = positions
         self.geometry = geometry or Geometry(graph, mechanism, frames, dense=dense, in_working_axes=in_working_axes)
-        self._axes = placement_of(self.geometry, WORKING_AXES) if in_working_axes else None
+        self._axes = placement_of(self.geometry, WORKING_AXES) if self.geometry.in_working_axes else None
         self.links: list[ChainJoint] = []
         screws: dict[int, Screw] = {}
         self._bodies = [Transform(objects(np.eye(3).tolist()), objects([0.0, 0.0, 0.0]))]
@@ -85,10 +85,6 @@ class Tree:
         """The purely translational entries of v, which are measured in lengths."""
         return [k for k, screw in enumerate(self.screws) if all(map(is_zero, screw.angular))]
 
-    def turned_from_world(self, vector: Objects) -> Objects:
-        """Return a vector, shape=(3,), or the rows of some, shape=(n, 3), in the axes of the tree."""
-        return vector if self._axes is None else objects(vector @ self._axes.rotation)
-
     def body(self, joint: int) -> Transform:
         """Return the placement of the body that a joint moves, by Pinocchio's index of the joint."""
         return self._bodies[joint]
@@ -107,6 +103,10 @@ class Tree:
         if self._axes is None:
             return twist
         return np.concatenate([self._axes.rotation @ twist[:3], self._axes.rotation @ twist[3:]])
+
+    def turned_from_world(self, vector: Objects) -> Objects:
+        """Return a vector, shape=(3,), or the rows of some, shape=(n, 3), in the axes of the tree."""
+        return vector if self._axes is None else objects(vector @ self._axes.rotation)
 
     def support(self, name: str) -> tuple[int, ...]:
         """Return the entries of v that move a frame, from the base to the frame."""

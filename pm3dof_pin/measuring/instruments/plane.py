@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pm3dof_pin.measuring.datum import DatumKind, axes_of_extents, constant, narrowness
-from pm3dof_pin.measuring.instrument import Instrument, PlacedDatum, as_points
+from pm3dof_pin.measuring.instrument import Instrument, PlacedDatum
 from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
 from pm3dof_pin.typing import Array
 
@@ -41,8 +43,7 @@ def _plane(setting: Setting, touch: tuple[float, ...] | None = None) -> PlacedDa
     """Return the plane, across that of a machine which moves in one."""
     points = setting.points(setting.targets)
     if _THIN <= narrowness(points) < np.inf:
-        place = setting.centres[0] if setting.centres else as_points([setting.middle])[0]
-        return PlacedDatum(PLANE, place, as_points(axes_of_extents(points)[[2, 0, 1]]), touch)
+        return replace(setting.one(PLANE, axes_of_extents(points)[[2, 0, 1]], setting.middle), touch=touch)
     return setting.one(PLANE, np.eye(3), setting.middle, touch)
 
 
