@@ -86,9 +86,10 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
     """Record one Newton step.
 
     Closures, and the tool's equations, that determine their joints are solved one by one; others that share joints are
-    solved together. Overconstrained systems are solved by least squares, those of loops that leave joints free
-    by the shortest step. Of joints that can move while the tool rests, or spin without effect, some are at rest, chosen
-    at the samples, shape=(s, nq), see :class:`Tree`. Convergence is quadratic if the loops can be closed.
+    solved together. Overconstrained systems are solved by least squares; where loops, or a serial arm's tool, leave
+    joints free, the step is the shortest. Of joints with loops that can move while the tool rests, or spin without
+    effect, some are at rest, chosen at the samples, shape=(s, nq), see :class:`Tree`. Convergence is quadratic if the
+    loops can be closed.
 
     Inputs: q; `margin` and `jump`, initially 1 and 0; the coordinates of the held joints and the targets of the tool,
     in the order of the task. Outputs: the new `q`, with the held joints at their coordinates; the new `margin` and
@@ -349,6 +350,7 @@ class _System:
     rows: Matrix | None  #: combinations of the rows to solve, see :class:`LoopSystem`; None for all by least squares
     has_tool: bool  #: whether its last rows are those of the tool's targets
     is_determined: bool  #: whether the equations determine the unknowns
+    count: int  #: of closures, the tool included
 
     @classmethod
     def of(
@@ -365,7 +367,7 @@ class _System:
             for k in sorted({k for equation in equations for k in equation.columns})
         }
         error = np.concatenate([equation.error for equation in equations])
-        return cls(columns, error, unknowns, rows, has_tool, is_determined)
+        return cls(columns, error, unknowns, rows, has_tool, is_determined, len(equations))
 
     @property
     def matrix(self) -> Objects:
@@ -407,9 +409,9 @@ class _System:
                 right[moved] -= np.outer(self.columns[k][moved], rate)
         if self.rows is None:
             kept = [not all(map(is_zero, row)) for row in self.matrix]
-            # drives move freely behind a tool at its targets: those motions are sought over the commands
-            leaves_loops_free = not self.is_determined and not self.has_tool
-            solved = _solved_by_least_norm if leaves_loops_free else _solved_by_elimination
+            # drives that a tool at its targets leaves free behind loops are sought over the commands: this is sparser
+            is_sparse = self.is_determined or (self.has_tool and self.count > 1)
+            solved = _solved_by_elimination if is_sparse else _solved_by_least_norm
             return solved(self.matrix[kept], right[kept])
         matrix, right = _combined(self.rows, self.matrix), _combined(self.rows, right)
         return _solved_directly(matrix, right) if len(matrix) <= 3 else _solved_by_elimination(matrix, right)
