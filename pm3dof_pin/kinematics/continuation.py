@@ -112,8 +112,9 @@ class Continuation:
         return regularity_and_mode(outputs[:, self._nq])
 
     def read(self, q: Matrix) -> Matrix:
-        """Return the coordinates of closed configurations, shape=(n, number of coordinates) [m, rad]."""
-        return self._robot.read(self._coordinates, q, self._check(q).transforms if self._tool else None)
+        """Return the coordinates of configurations, closed or nearly so, shape=(n, number of coordinates) [m, rad]."""
+        placed = self._checks.compiled.program.split(self._checks(q))["transform"] if self._tool else None
+        return self._robot.read(self._coordinates, q, placed)
 
     # walking
 

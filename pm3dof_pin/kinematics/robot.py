@@ -495,7 +495,7 @@ class Robot(PlacedMechanism):
         ):
             reason = "ry alone is told within -90 .. 90 deg only; a joint's angle as coordinate has no such bounds"
         elif result.converged and self.has_branches:
-            reason = "the drives leave joints free, and no way leads there with these at rest; another guess may"
+            reason = "the drives leave joints free, and none of the ways tried leads there; another guess may"
             if branches_of(self.prototype).conditions:
                 reason = self._reference(coordinates).obstacle(start, target)
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"

@@ -86,9 +86,10 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
     """Record one Newton step.
 
     Closures, and the tool's equations, that determine their joints are solved one by one; others that share joints are
-    solved together. Overconstrained systems are solved by least squares; of joints with redundant motions, some are
-    kept at rest, chosen at the samples, shape=(s, nq), see :class:`Tree`. Convergence is quadratic if the loops can be
-    closed.
+    solved together. Overconstrained systems are solved by least squares; where loops, or a serial arm's tool, leave
+    joints free, the step is the shortest. Of joints with loops that can move while the tool rests, or spin without
+    effect, some are at rest, chosen at the samples, shape=(s, nq), see :class:`Tree`. Convergence is quadratic if the
+    loops can be closed.
 
     Inputs: q; `margin` and `jump`, initially 1 and 0; the coordinates of the held joints and the targets of the tool,
     in the order of the task. Outputs: the new `q`, with the held joints at their coordinates; the new `margin` and
@@ -111,7 +112,8 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
     mode: Scalar = 0.0
     longest: Scalar = 0.0
     moves: dict[int, Objects] = {}
-    for bit, system in enumerate(_systems(equations, held)):
+    systems, _ = split([_at_samples(equation) for equation in equations], held)
+    for bit, system in enumerate(_stacked(equations, systems, task)):
         solution, size, is_flipped, _ = system.solved(-system.error[:, None], moves)
         moves |= dict(zip(system.unknowns, solution, strict=True))
         regularity = minimum(regularity, size)
@@ -300,7 +302,7 @@ def _closed_systems(tree: Tree, task: Task) -> tuple[list[int], list[_System], t
         for k in turned:
             scaled[k] = _scaled(tree, in_axes_of_first_frame(tree, k, equations[k]))
         found, _ = split([_at_samples(equation) for equation in scaled], set(held))
-    return held, _stacked(scaled, found), idle.moving
+    return held, _stacked(scaled, found, task), idle.moving
 
 
 def _minor(
@@ -346,8 +348,9 @@ class _System:
     error: Objects  #: shape=(m,)
     unknowns: tuple[int, ...]  #: the entries of v to solve for; the others are held, or known by then
     rows: Matrix | None  #: combinations of the rows to solve, see :class:`LoopSystem`; None for all by least squares
-    has_last: bool  #: whether the last of all equations are its last rows
+    has_tool: bool  #: whether its last rows are those of the tool's targets
     is_determined: bool  #: whether the equations determine the unknowns
+    count: int  #: of closures, the tool included
 
     @classmethod
     def of(
@@ -355,7 +358,7 @@ class _System:
         equations: Sequence[Equations],
         unknowns: tuple[int, ...],
         rows: Matrix | None = None,
-        has_last: bool = False,
+        has_tool: bool = False,
         is_determined: bool = False,
     ) -> _System:
         """Stack equations."""
@@ -364,7 +367,7 @@ class _System:
             for k in sorted({k for equation in equations for k in equation.columns})
         }
         error = np.concatenate([equation.error for equation in equations])
-        return cls(columns, error, unknowns, rows, has_last, is_determined)
+        return cls(columns, error, unknowns, rows, has_tool, is_determined, len(equations))
 
     @property
     def matrix(self) -> Objects:
@@ -374,7 +377,7 @@ class _System:
     def tool_columns(self, count: int, size: int) -> Objects:
         """Return the right-hand sides for unit rates of the last `size` of `count` quantities, those of the tool."""
         right = zeros(len(self.error), count)
-        if size and self.has_last:
+        if size and self.has_tool:
             right[-size:, count - size :] = np.eye(size)
         return right
 
@@ -406,7 +409,10 @@ class _System:
                 right[moved] -= np.outer(self.columns[k][moved], rate)
         if self.rows is None:
             kept = [not all(map(is_zero, row)) for row in self.matrix]
-            return _solved_by_elimination(self.matrix[kept], right[kept])
+            # drives that a tool at its targets leaves free behind loops are sought over the commands: this is sparser
+            is_sparse = self.is_determined or (self.has_tool and self.count > 1)
+            solved = _solved_by_elimination if is_sparse else _solved_by_least_norm
+            return solved(self.matrix[kept], right[kept])
         matrix, right = _combined(self.rows, self.matrix), _combined(self.rows, right)
         return _solved_directly(matrix, right) if len(matrix) <= 3 else _solved_by_elimination(matrix, right)
 
@@ -433,15 +439,11 @@ def _at_samples(equations: Equations) -> LoopEquations:
     return LoopEquations(tuple(equations.columns), np.swapaxes(table, 1, 2))
 
 
-def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
-    """Group scaled equations into systems, see :func:`split`."""
-    return _stacked(equations, split([_at_samples(equation) for equation in equations], held)[0])
-
-
-def _stacked(equations: list[Equations], systems: Iterable[LoopSystem]) -> list[_System]:
-    last = len(equations) - 1
+def _stacked(equations: list[Equations], systems: Iterable[LoopSystem], task: Task) -> list[_System]:
+    """Stack the equations of each system; those of the tool are the last of all."""
+    tool = len(equations) - 1 if task.tool else None
     return [
-        _System.of([equations[k] for k in s.equations], s.unknowns, s.rows, last in s.equations, s.is_determined)
+        _System.of([equations[k] for k in s.equations], s.unknowns, s.rows, tool in s.equations, s.is_determined)
         for s in systems
     ]
 
@@ -486,12 +488,34 @@ def _solved_by_elimination(matrix: Objects, right: Objects) -> _Solved:
         return _Solved(solution, _REGULAR, np.False_, result.dropped)
     triangle = result.pivot_rows[:, columns]
     solution[columns] = solve_upper(triangle, result.pivot_rows[:, size:])
+    is_square = len(matrix) == size == len(columns)
+    is_flipped = _is_flipped(math.prod(np.diag(triangle))) if is_square else np.False_
+    return _Solved(solution, _least_pivot(triangle), is_flipped, result.dropped)
+
+
+def _solved_by_least_norm(matrix: Objects, right: Objects) -> _Solved:
+    """Solve a system that leaves unknowns free by the shortest of its solutions; the regularity is the least pivot.
+
+    Equations are eliminated instead of unknowns, A^T = Q R, and x = Q R^-T b: no choice of unknowns can be singular at
+    a regular configuration.
+    """
+    size = matrix.shape[1]
+    result = eliminate(matrix.T, range(len(matrix)), Doubt())
+    triangle = result.pivot_rows[:, list(result.columns)]
+    backwards = slice(None, None, -1)
+    parts = solve_upper(triangle.T[backwards, backwards], right[list(result.columns)][backwards])[backwards]
+    solution = np.stack([result.back(column) for column in parts.T], axis=1) if right.size else zeros(size, 0)
+    motions = result.complement()
+    free = [k for k in range(size) if any(np.nanmax(np.abs(number_samples(x))) > ZERO for x in motions[:, k])]
+    return _Solved(solution, _least_pivot(triangle), np.False_, tuple(free))
+
+
+def _least_pivot(triangle: Objects) -> Scalar:
+    """Return the least pivot of a triangular matrix, relative to the usual ones."""
     least: Scalar = _REGULAR
     for pivot in np.diag(triangle):
         least = minimum(least, absolute(pivot * (1.0 / (_usual(pivot) or 1.0))))
-    is_square = len(matrix) == size == len(columns)
-    is_flipped = _is_flipped(math.prod(np.diag(triangle))) if is_square else np.False_
-    return _Solved(solution, least, is_flipped, result.dropped)
+    return least
 
 
 def _determinant(matrix: Objects) -> Scalar:

@@ -119,17 +119,21 @@ class Elimination:
             carried[:, c] = numbers
         return carried[list(self.places)], carried[list(self.rest_places)]
 
+    def back(self, pivots: Sequence[Scalar]) -> Objects:
+        """Return the right-hand side that has these parts in the pivot rows and none in the rest, shape=(m,)."""
+        return self._carried_back(dict(zip(self.places, pivots, strict=True)))
+
     def complement(self) -> Objects:
         """Return the orthonormal rows that map the system to its rest, shape=(m - r, m)."""
-        count = len(self.rest_places) + len(self.places)
-        rows = zeros(len(self.rest_places), count)
-        for row, place in zip(rows, self.rest_places, strict=True):
-            numbers: list[Scalar] = [0.0] * count
-            numbers[place] = 1.0
-            for reflection in reversed(self.reflections):
-                reflection.apply(numbers, transposed=True)
-            row[:] = numbers
-        return rows
+        rows = [self._carried_back({place: 1.0}) for place in self.rest_places]
+        return np.array(rows, dtype=object).reshape(len(rows), len(self.rest_places) + len(self.places))
+
+    def _carried_back(self, entries: Mapping[int, Scalar]) -> Objects:
+        """Apply the transposed reflections, in reverse order, to a vector given by its nonzero entries."""
+        numbers = [entries.get(place, 0.0) for place in range(len(self.rest_places) + len(self.places))]
+        for reflection in reversed(self.reflections):
+            reflection.apply(numbers, transposed=True)
+        return np.array(numbers, dtype=object)
 
     @property
     def cost(self) -> int:
