@@ -129,6 +129,10 @@ def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as
         f"height error, rms: {1e6 * summary['height_error_before_rms_m']:z.0f} µm before, "
         f"{1e6 * summary['height_error_held_out_rms_m']:.0f} µm after ({low:.0f} to {high:.0f} with 95 % probability)",
         *(
+            f"distances, rms: {1e6 * errors['before']:z.0f} µm before, {1e6 * errors['after']:.0f} µm after"
+            for errors in ([summary["distance_error_rms_m"]] if summary["distances"] else [])
+        ),
+        *(
             f"{count} parameters are not taken: {', '.join(names)} would be off by more than a ruler misses, and the "
             "bow of a bed looks the same"
             for count, names in summary["parameters_beyond_a_ruler"].items()
@@ -150,6 +154,8 @@ def _calibrate_printer(file: Path, out: Path, *, bed_mesh: bool, force: bool, as
         rows.append([name, f"{scale * change['value']:+.4f}", *sigmas, unit])
     heads = ["number", "change", "sigma of the touches alone", "sigma with what they cannot tell", "unit"]
     lines += ["", *table_lines(heads, rows)]
+    for note in summary["notes"]:
+        message(f"pm3dof: warning: {note}")
     print_result({"directory": str(folder)} | summary, lines, as_json=as_json)
     message(f"wrote {folder / found.file.path.name}")
 

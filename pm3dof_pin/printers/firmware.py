@@ -16,6 +16,7 @@ from pm3dof_pin.printers.touches import Touches
 
 _SUFFIXES = (".cfg", ".g", ".gcode", ".log")
 _BEGINNING = 100  # bytes
+_KLIPPER_LOG = re.compile(r"^=+ Config file =+\s*$", re.MULTILINE)
 
 
 class FirmwareFile(Protocol):
@@ -41,6 +42,10 @@ class FirmwareFile(Protocol):
     def meshes(self) -> tuple[str, ...]:
         """Names of the meshes that it holds."""
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know of its touches: what they are, and what it does not tell of them."""
+
     def printer(self) -> DeltaPrinter:
         """Return the printer that it describes."""
 
@@ -63,8 +68,11 @@ def read_firmware(path: Path, text: str) -> FirmwareFile:
     """Return what a file is.
 
     Raises:
-        MeasurementError: it is of no firmware that is known.
+        MeasurementError: it is of no firmware that is known, or a log of Klipper, which has the state of many days.
     """
+    if found := _KLIPPER_LOG.search(text):
+        lines = [text.count("\n", 0, found.start()) + 1]
+        raise MeasurementError(path, "a configuration in a log of Klipper: expected the file printer.cfg", lines)
     if re.search(r"^\[(printer\]|include\s)", text, re.MULTILINE | re.IGNORECASE):
         return KlipperFile.parse(path, text)
     if is_height_map(text):

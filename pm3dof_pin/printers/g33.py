@@ -24,7 +24,7 @@ _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)"
 _COMMAND = re.compile(r"\bG33(?![\d.])(?!\s*AUTO)([^;]*)")
 _WORD = re.compile(rf"([A-Z])\s*({_NUMBER})")
 _RADIUS = re.compile(rf"Checking\.\.\. AC at radius:\s*({_NUMBER})")
-_WITHOUT_R = ".Tower angle"
+_WITHOUT_R = re.compile(r"\.Tower angle")
 _SETTINGS = re.compile(r"\.(?:Height:|Tower angle\s*:|\s+Tx:)")
 _SETTING = re.compile(rf"\b(Height|Radius|[ET][xyz]):\s*({_NUMBER})(?![\w.])")
 _RESULTS = re.compile(r"\.\s+(?:c|yz):")
@@ -74,7 +74,7 @@ class G33Reports:
             self._radius = float(found[1])
         elif _SETTINGS.search(line):
             self.settings |= {name: float(value) for name, value in _SETTING.findall(line)}
-            self._given = None if line.lstrip().startswith(_WITHOUT_R) else self._given
+            self._given = None if _WITHOUT_R.search(line) else self._given
         if not _RESULTS.search(line):
             return []
         if not (row := _ROW.search(line.rstrip())):
@@ -99,6 +99,11 @@ class G33Reports:
         ]
 
     @staticmethod
-    def begins(line: str) -> bool:
-        """Tell whether a line of heights is the first of a report: the others have no centre."""
-        return bool(re.search(r"\bc:", line))
+    def are_complete(line: str) -> bool:
+        """Tell whether a line reports settings with the radius: others may be those of a calibration of the height."""
+        return bool(_SETTINGS.search(line)) and "Radius:" in line
+
+
+def radius_of_g33(geometry: dict[str, float]) -> float | None:
+    """Return the B of Marlin 1's M665, which stands alone; beside A or C it is a trim of Marlin 2."""
+    return None if "A" in geometry or "C" in geometry else geometry.get("B")

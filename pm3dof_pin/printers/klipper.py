@@ -2,8 +2,10 @@
 
 A touch is saved as the steps that each drive took from its end stop, so it depends on no parameter. A step is
 rotation_distance / (full steps x microsteps x gears), in millimetres, or 2 pi for a drive that turns; older files have
-step_distance. As in Klipper, options override those in the block that SAVE_CONFIG writes, also where they are included.
-Files that are included are read where they lie beside the file or below it; what stands in them is not changed.
+step_distance. Where no touches are saved, the points of a bed mesh are taken, which depend on the numbers that the
+printer had then. As in Klipper, options override those in the block that SAVE_CONFIG writes, also where they are
+included. Files that are included are read where they lie beside the file or below it; what stands in them is not
+changed.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.files import read_text
 from pm3dof_pin.printers.bed_mesh import POINTS, BedMesh
 from pm3dof_pin.printers.delta_printer import AXES, DeltaPrinter
+from pm3dof_pin.printers.klipper_mesh import probed_points
 from pm3dof_pin.printers.touches import Touches
 from pm3dof_pin.typing import Array
 
@@ -32,6 +35,9 @@ _FULL_STEPS = 200.0
 _MAX_INCLUDES = 100  # files
 _COMMENT = re.compile(r"#|(?:^|\s);")
 _MESH = "bed_mesh default"
+_PROBES = "probe bltouch smart_effector probe_eddy_current load_cell_probe dockable_probe beacon cartographer scanner"
+"""Sections with the place of a probe."""
+_REFERENCES = ("zero_reference_position", "relative_reference_index")
 
 
 @dataclass(frozen=True)
@@ -120,31 +126,59 @@ class KlipperFile:
             1e-3 * self._number("printer", "shoulder_height"),
         )
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know of touches that are those of a bed mesh."""
+        if self._has_touches or not self.meshes:
+            return ()
+        notes = [
+            f"the touches are the points of [{self._probed_mesh}]: if the printer's numbers were changed after it was "
+            "probed, which the file does not tell, probe it again first"
+        ]
+        for option in _REFERENCES:
+            if option in self.options.get("bed_mesh", {}):
+                notes.append(
+                    f"its heights count from the bed at {option}, which the printer's numbers are taken to have at 0: "
+                    "set the height of the nozzle afterwards"
+                )
+        return tuple(notes)
+
     def touches(self, printer: DeltaPrinter) -> Touches:
-        """Return the touches and measured distances that the file has saved.
+        """Return the touches, or else the points of a bed mesh, and the measured distances that the file has saved.
 
         Raises:
-            MeasurementError: there are none, or one is malformed.
+            MeasurementError: there are none, one is malformed, or of several meshes none is the default.
         """
         steps = np.array([self._step(axis, rotary=printer.is_rotary) for axis in AXES])
-        travels, heights = [], []
-        for name in ("height", "manual_height"):
-            for value, (place,) in self._numbered(name, ("_pos",)):
-                travels.append(-steps * place)
-                heights.append(1e-3 * value)
+        touched = [touch for name in ("height", "manual_height") for touch in self._numbered(name, ("_pos",))]
         pairs = [
             (1e-3 * value, -steps * one, -steps * two)
             for value, (one, two) in self._numbered("distance", ("_pos1", "_pos2"))
         ]
-        if not travels:
-            problem = "no touches of the bed ([delta_calibrate] height0, height0_pos ...): DELTA_CALIBRATE saves them"
+        if touched:
+            heights = 1e-3 * np.array([value for value, _ in touched])
+            return Touches.of(np.array([-steps * place for _, (place,) in touched]), heights, pairs)
+        if not self.meshes:
+            problem = (
+                "no touches of the bed ([delta_calibrate] height0, height0_pos ..., or a [bed_mesh ...]): "
+                "DELTA_CALIBRATE saves them"
+            )
             raise MeasurementError(self.path, problem)
-        return Touches.of(np.array(travels), np.array(heights), pairs)
+        name = self._probed_mesh
+        points = probed_points(
+            self.path, name, self.saved[name], is_round="mesh_radius" in self.options.get("bed_mesh", {})
+        )
+        for section in self.options:
+            if section.split()[0] in _PROBES.split():
+                points -= [*(self._number(section, f"{axis}_offset", 0.0) for axis in "xy"), 0.0]
+        travels = printer.drives(1e-3 * points) - printer.at_end_stops
+        return Touches.of(travels, np.zeros(len(points)), pairs)
 
     def with_printer(self, printer: DeltaPrinter, mesh: BedMesh | None = None) -> str:
         """Return the file with another printer's numbers in its saved block; their options above become comments.
 
-        A mesh becomes the bed mesh `default`.
+        A mesh becomes the bed mesh `default`. If touches are those of a mesh, saved meshes are left out, as they belong
+        to the old numbers.
 
         Raises:
             MeasurementError: there is a mesh, and the file has no section [bed_mesh]; or a number stands in an included
@@ -173,7 +207,8 @@ class KlipperFile:
             option = _OPTION.match(line)
             replaced = option is not None and option[1].strip().lower() in written.get(section, {})
             lines.append(f"#{line}" if replaced else line)
-        saved = {name: dict(values) for name, values in self.saved.items()}
+        stale = set() if self._has_touches else {f"bed_mesh {name}" for name in self.meshes}
+        saved = {name: dict(values) for name, values in self.saved.items() if name not in stale}
         for name, values in written.items():
             saved[name] = {**saved.get(name, {}), **{option: f"{1e3 * value:.6f}" for option, value in values.items()}}
         if mesh is not None:
@@ -193,6 +228,18 @@ class KlipperFile:
                 _SAVED,
             ]
         return "\n".join([*lines, "", *block[:-1], ""])
+
+    @property
+    def _has_touches(self) -> bool:
+        return any(re.match(r"(manual_)?height\d", option) for option in self.options.get("delta_calibrate", {}))
+
+    @property
+    def _probed_mesh(self) -> str:
+        """The section of the mesh that is read."""
+        if _MESH in self.saved or len(self.meshes) == 1:
+            return _MESH if _MESH in self.saved else f"bed_mesh {self.meshes[0]}"
+        listed = ", ".join(self.meshes)
+        raise MeasurementError(self.path, f"several bed meshes ({listed}), none of them 'default': expected one")
 
     def _numbered(self, name: str, ends: tuple[str, ...]) -> list[tuple[float, list[Array]]]:
         own, found = self.options.get("delta_calibrate", {}), list[tuple[float, list[Array]]]()

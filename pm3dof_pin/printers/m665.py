@@ -7,17 +7,12 @@ moves back from its end stop, which is higher by as much. The A and B of M666 in
 along x and y [%], which are kept, as are the arms and end stops U, V, W of more towers.
 
 A probed height h at (x, y) means that the printer, as it was, took the nozzle to be at (x, y, h) when it touched the
-bed. Marlin writes "Bed X: 10.0 Y: 20.0 Z: 0.12"; for RepRapFirmware the G30 P... X... Y... lines of bed.g are paired
-with the numbers of its answer "bed probe heights: 0.12 -0.03 ...", without the mean and deviation at its end. P is the
-number of a point; P0 begins anew. These points are the probe's, from which the nozzle is away by the X and Y of G31.
-Letters may be small. Reports of Marlin's G33 are read by
-:mod:`~pm3dof_pin.printers.g33`; those with the same settings are read together.
+bed. :mod:`~pm3dof_pin.printers.log_reader` says which heights those are.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -27,16 +22,10 @@ import numpy as np
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.printers.bed_mesh import BedMesh
 from pm3dof_pin.printers.delta_printer import DeltaPrinter
-from pm3dof_pin.printers.g33 import G33Reports
+from pm3dof_pin.printers.g33 import radius_of_g33
+from pm3dof_pin.printers.log_reader import LogReader
 from pm3dof_pin.printers.touches import Touches
 
-_NUMBER = r"[-+]?\d+(?:\.\d*)?|[-+]?\.\d+"
-_WORD = re.compile(rf"([A-Z])\s*({_NUMBER})")
-_ARMS = re.compile(rf"L\s*((?:{_NUMBER})(?:\s*:\s*(?:{_NUMBER}))*)")
-_WORDS = re.compile(rf"(?:\s*[A-DF-Z]\s*(?:{_NUMBER})(?:\s*:\s*(?:{_NUMBER}))*)+\s*(?:\*\d+)?\s*")
-_MARLIN = re.compile(rf"Bed X:\s*({_NUMBER})\s*Y:\s*({_NUMBER})\s*Z:\s*({_NUMBER})(?![\w.,])")
-_HEIGHTS = re.compile(rf"bed probe heights:\s*((?:(?:{_NUMBER})[\s,]*)+)", re.IGNORECASE)
-_POINT = re.compile(r"\bG30(?!\d)[^;]*P\s*\d+[^;]*")
 _TOWERS = (210.0, 330.0, 90.0)
 _LETTERS, _TRIMS = "XYZ", "ABC"
 _SAME = 5e-5  # [mm], of what is written
@@ -52,9 +41,11 @@ class GCodeLog:
     arms: tuple[float, ...]  #: its L, one length or that of each tower [mm]
     stops: dict[str, float]  #: the last M666 [mm, %]
     probed: tuple[tuple[float, float, float], ...]  #: points and heights [mm]
-    probe: dict[str, float]  #: the last X and Y of G31: the probe's place, seen from the nozzle [mm]
+    probe: dict[str, float]  #: X and Y of G31 or M851: the probe's place, seen from the nozzle [mm]
+    begins: tuple[int, ...]  #: line of the last M665, if there is one
 
     takes_mesh = False
+    notes = ()
 
     @property
     def meshes(self) -> tuple[str, ...]:
@@ -68,66 +59,15 @@ class GCodeLog:
 
     @classmethod
     def parse(cls, path: Path, text: str) -> GCodeLog:
-        """Read the last M665 and M666, or settings of G33, and all heights after them.
+        """Read the last M665 and M666, or settings of G33, and all heights that were probed with them.
 
         Raises:
-            MeasurementError: heights and points of RepRapFirmware differ in number, a word is not a number, M665 has
-                neither one arm length nor one a tower, or heights of G33 are averages or at an unknown radius.
+            MeasurementError: a line is not understood, or heights were probed with numbers or at places that the log
+                does not tell.
         """
-        geometry: dict[str, float] = {}
-        arms: tuple[float, ...] = ()
-        stops: dict[str, float] = {}
-        probe: dict[str, float] = {}
-        points: dict[float, tuple[float, float]] = {}
-        probed: list[tuple[float, float, float]] = []
-        firmware: Literal["RepRapFirmware", "Marlin"] = "RepRapFirmware"
-        reports, probed_with = G33Reports(path), dict[str, float]()
-        for number, line in enumerate(text.splitlines(), start=1):
-            code = _code(line)
-            words = {letter: float(value) for letter, value in _WORD.findall(code)}
-            is_point = bool(_POINT.search(code))
-            # two words, of which one is the command: prose that mentions it has one
-            if len(words) > 1 and ("M665" in code or "M666" in code or is_point) and not _WORDS.fullmatch(code):
-                problem = f"'{code.strip()}': expected letters, each with a number such as 105.5"
-                raise MeasurementError(path, problem, [number])
-            if "M665" in code:
-                geometry |= words
-                if lengths := _ARMS.search(code):
-                    arms = tuple(float(length) for length in lengths[1].split(":"))
-                    if len(arms) == 2:  # more than three belong to towers that do not carry the nozzle
-                        raise MeasurementError(path, "M665 L has 2 lengths; expected one, or one a tower", [number])
-                is_circle = words.keys() == {"M", "B"} and _radius_of_g33(geometry) is not None  # of G33, no number
-                probed = probed if is_circle else []
-            elif "M666" in code:
-                stops |= words
-            elif "G31" in code and not words.get("K"):  # of the first probe
-                if re.search(rf"[XY](?!\s*(?:{_NUMBER}))", code):
-                    raise MeasurementError(path, f"'{code.strip()}': expected numbers after X and Y", [number])
-                probe |= {letter: words[letter] for letter in "XY" if letter in words}
-            elif "Bed X:" in line:
-                if not (found := _MARLIN.search(line)):
-                    problem = f"'{line.strip()}': expected numbers, as in Bed X: 10.0 Y: 20.0 Z: 0.12"
-                    raise MeasurementError(path, problem, [number])
-                firmware = "Marlin"
-                probed.append((float(found[1]), float(found[2]), float(found[3])))
-            elif reported := reports.heights(line, number, _radius_of_g33(geometry)):
-                firmware = "Marlin"
-                if reports.begins(line):
-                    if probed_with != reports.settings:
-                        probed, probed_with = [], dict(reports.settings)
-                    geometry, stops = geometry | reports.geometry, stops | reports.stops
-                probed += reported
-            elif found := _HEIGHTS.search(line):
-                heights = [float(word) for word in re.findall(_NUMBER, found[1])]
-                if len(heights) != len(points):
-                    problem = f"{len(heights)} bed probe heights for {len(points)} points (G30 P... X... Y...)"
-                    raise MeasurementError(path, problem)
-                places = [points[point] for point in sorted(points)]
-                probed += [(x, y, height) for (x, y), height in zip(places, heights, strict=True)]
-            elif is_point and {"X", "Y"} <= set(words):
-                points = {} if words["P"] == 0.0 else points
-                points[words["P"]] = words["X"], words["Y"]
-        return cls(path, firmware, geometry, arms, stops, tuple(probed), probe)
+        log = LogReader(path)
+        log.read(text)
+        return cls(path, log.firmware, log.geometry, log.arms, log.stops, log.probed, log.probe, log.begins)
 
     def then(self, later: GCodeLog) -> GCodeLog:
         """Return what holds after the settings of another log too, with the heights of both."""
@@ -159,7 +99,7 @@ class GCodeLog:
         """
         if not self.probed:
             ways = "Bed X: .. Y: .. Z: .., G33, bed probe heights, or heightmap.csv beside it"
-            raise MeasurementError(self.path, f"no heights of the bed after M665: {ways}")
+            raise MeasurementError(self.path, f"no heights of the bed after M665: {ways}", self.begins)
         points = 1e-3 * (np.array(self.probed) - [*(self.probe.get(letter, 0.0) for letter in "XY"), 0.0])
         slope = [0.01 * self.stops.get(letter, 0.0) if self._sign > 0.0 else 0.0 for letter in "AB"]
         bed = points[:, :2] @ slope  # its height where the drives' frame is level
@@ -190,20 +130,8 @@ class GCodeLog:
     @property
     def _takes_trims(self) -> bool:
         """Whether arms may differ: in Marlin 1, whose M665 has B alone, they may not."""
-        return self.firmware != "Marlin" or _radius_of_g33(self.geometry) is None
+        return self.firmware != "Marlin" or radius_of_g33(self.geometry) is None
 
     @property
     def _sign(self) -> float:
         return 1.0 if self.firmware == "RepRapFirmware" else -1.0
-
-
-def _radius_of_g33(geometry: dict[str, float]) -> float | None:
-    """Return the B of Marlin 1's M665, which stands alone; beside A or C it is a trim of Marlin 2."""
-    return None if "A" in geometry or "C" in geometry else geometry.get("B")
-
-
-def _code(line: str) -> str:
-    """Return a line in capitals from the command that is read on, without comments; else all of it."""
-    words = re.sub(r"\([^)]*\)", "", line.split(";", 1)[0]).upper()
-    found = re.search(r"M665|M666|\bG3[01](?!\d)", words)
-    return words[found.start() :] if found else words

@@ -4,7 +4,8 @@ Of the firmware's sets of parameters that move nothing by more than a ruler woul
 whose error at touches held out is within one standard error of the best one's (the rule of L. Breiman et al.,
 Classification and Regression Trees, 1984). Heights determine the lengths of arms hardly: an error of all arms hides
 behind radius and end stops, and the bow of a bed looks like one, with which prints would change their size. Distances
-measured on a print tell them.
+measured on a print tell them. Two of them or more are held out like touches, and all errors are compared in standard
+deviations.
 
 Changes are those of the numbers in the firmware. Each has two standard deviations: by what the touches say of the set
 that was taken, as if all other numbers were exact, and by all of the firmware's parameters, the others known only as
@@ -51,6 +52,8 @@ _RING = 24  # points
 _ROBUST = 3  # touches a parameter from which outliers can be told
 _OUTLIER = 6.0  # times the median size of held-out errors: one in 20,000 normal ones
 _MISSED = 2.0  # tolerances, by which a number may be wrong unnoticed
+_FEWEST = 4  # touches: those that tell three end stops and the radius
+_CONTRADICTED = 2.0  # standard deviations by which distances are off
 _IMPOSSIBLE = 6.0  # tolerances, by which no number is wrong
 _UNEVEN = 20.0  # times the noise of a touch, more than any bed is uneven
 _STEP = 1e-6  # of a difference quotient, in tolerances
@@ -61,22 +64,38 @@ _SUMMARY = "calibration.yaml"
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A set of the firmware's parameters, and its errors at touches held out."""
+    """A set of the firmware's parameters, and its errors at touches and distances held out."""
 
     count: int  #: number of parameters
     loss: Loss  #: of the fits
-    folds: Array  #: fold of each touch, shape=(touches,)
-    left_over: Array  #: height minus prediction of all touches by each fit without a fold, shape=(folds, touches) [m]
+    touches: Touches
+    folds: Array  #: fold of each touch, then of each distance, shape=(touches + distances,)
+    left_over: Array  #: measured minus predicted by each fit without a fold, shape=(folds, touches + distances) [m]
 
     @property
-    def held_out(self) -> Array:
-        """Height minus prediction of each touch, fitted without it, shape=(touches,) [m]."""
+    def errors(self) -> Array:
+        """Measured minus predicted of each touch and distance, fitted without it, shape=(touches + distances,) [m]."""
         return np.asarray(self.left_over[self.folds, np.arange(len(self.folds))])
 
     @property
+    def held_out(self) -> Array:
+        """The errors of touches, shape=(touches,) [m]."""
+        return self.errors[: len(self.touches)]
+
+    @property
     def mean_square(self) -> float:
-        """Mean square of these errors [m^2]."""
+        """Mean square of the errors of touches [m^2]."""
         return float(np.mean(self.held_out**2))
+
+    @property
+    def squares(self) -> Array:
+        """Squared errors of touches, and of distances if there are two, in standard deviations."""
+        return np.asarray((self.errors / self.touches.sigmas)[: _judged(self.touches)] ** 2)
+
+    @property
+    def score(self) -> float:
+        """Mean of the squares, by which sets are compared."""
+        return float(np.mean(self.squares))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +111,19 @@ class PrinterCalibration:
     chosen: Choice  #: the set that was taken
     identification: Identification
     identification_of_all: Identification  #: of the largest set that can be fitted
-    heights_before: Array  #: touched heights minus those of the printer as it was, shape=(touches,) [m]
-    heights_after: Array  #: the same of the calibrated printer [m]
+    errors_before: Array  #: heights and distances minus the old printer's, shape=(touches + distances,) [m]
+    errors_after: Array  #: the same of the calibrated printer [m]
     mesh: BedMesh | None = None  #: what no parameter can express, if asked for and seen by the touches
+
+    @property
+    def heights_before(self) -> Array:
+        """Touched heights minus those of the printer as it was, shape=(touches,) [m]."""
+        return self.errors_before[: len(self.touches)]
+
+    @property
+    def heights_after(self) -> Array:
+        """The same of the calibrated printer [m]."""
+        return self.errors_after[: len(self.touches)]
 
     @property
     def held_out(self) -> Array:
@@ -110,6 +139,13 @@ class PrinterCalibration:
         freedom = 2.0 * mean**2 / max(spread, np.finfo(float).tiny)
         low, high = np.sqrt(mean * freedom / (2.0 * scipy.special.gammaincinv(0.5 * freedom, 1.0 - _PROBABILITIES)))
         return float(low), float(high)
+
+    @property
+    def distance_errors(self) -> dict[str, float]:
+        """Errors of distances before and after, the latter held out if there are two, root mean square [m]."""
+        own = len(self.touches)
+        found = self.chosen.errors if _judged(self.touches) > own else self.errors_after
+        return {"before": _rms(self.errors_before[own:]), "after": _rms(found[own:])}
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -141,6 +177,7 @@ class PrinterCalibration:
         return {
             "firmware": self.file.firmware,
             "touches": len(self.touches),
+            "notes": list(self.file.notes),
             "touched_radius_m": self.touched_radius,
             "distances": len(self.touches.distances),
             "parameters_chosen": self.chosen.count,
@@ -149,6 +186,7 @@ class PrinterCalibration:
             "height_error_after_rms_m": _rms(self.heights_after),
             "height_error_held_out_rms_m": _rms(self.held_out),
             "height_error_held_out_95_percent_interval_m": list(self.interval),
+            **({"distance_error_rms_m": self.distance_errors} if len(self.touches.distances) else {}),
             "bed_mesh": self.mesh is not None,
             "meshes_to_be_probed_again": [name for name in self.file.meshes if self.mesh is None or name != "default"],
             "gain": self.gain,
@@ -209,8 +247,8 @@ def calibrate_printer(
     """Calibrate a delta printer from the file of its firmware.
 
     Args:
-        path: Klipper's printer.cfg with saved touches; a log of M665, M666 and touches of the bed of RepRapFirmware or
-            Marlin; or RepRapFirmware's config.g or height map, each with the other beside it.
+        path: Klipper's printer.cfg with saved touches or a bed mesh; a log of M665, M666 and touches of the bed of
+            RepRapFirmware or Marlin; or RepRapFirmware's config.g or height map, each with the other beside it.
         bed_mesh: whether what no parameter can express becomes a bed mesh; Klipper only.
         on_refusal: "raise", or "keep" to return a calibration that does not predict touches clearly better than the
             printer's own numbers: these may have been fitted to the same touches.
@@ -226,10 +264,10 @@ def calibrate_printer(
     before = file.printer()
     touches = file.touches(before)
     least = before.counts[0]
-    if len(touches) <= least:
-        raise CalibrationRefusedError(
-            [f"{len(touches)} touches for {least} parameters: touch at least {least + 1} points"]
-        )
+    counted = _judged(touches) - len(touches)
+    if len(touches) < (fewest := max(least + 1 - counted, _FEWEST)):
+        seen = f"{len(touches)} touches" + (f" and {counted} distances" if counted else "")
+        raise CalibrationRefusedError([f"{seen} for {least} parameters: touch at least {fewest} points"])
     sets = {count: _errors(before, count) for count in before.counts if count <= file.most_parameters}
     choices = [_held_out(touches, errors, count) for count, errors in sets.items()]
     fits: dict[int, Identification] = {}
@@ -239,11 +277,11 @@ def calibrate_printer(
     larger = {} if len(touches.distances) else {count: fit for count, fit in fits.items() if count > least}
     implausible = {count: names for count, fit in larger.items() if (names := _beyond_a_ruler(fit))}
     possible = [choice for choice in choices if choice.count in fits and choice.count not in implausible]
-    best = min(possible, key=lambda choice: choice.mean_square, default=None)
-    if best is None or not np.isfinite(best.mean_square):
+    best = min(possible, key=lambda choice: choice.score, default=None)
+    if best is None or not np.isfinite(best.score):
         raise CalibrationRefusedError([f"no printer near these numbers fits the touches: {_WRONG}"])
-    limit = best.mean_square + float(np.std(best.held_out**2) / np.sqrt(len(touches)))
-    chosen = next(choice for choice in possible if choice.mean_square <= limit)
+    limit = best.score + float(np.std(best.squares) / np.sqrt(len(best.squares)))
+    chosen = next(choice for choice in possible if choice.score <= limit)
     found = fits[chosen.count]
     after = before.displaced(found.errors.named(found.values))
     result = PrinterCalibration(
@@ -256,12 +294,15 @@ def calibrate_printer(
         chosen,
         found,
         fits[max(fits)],
-        touches.heights - _heights(touches, sets[least].robot),
-        touches.heights - _heights(touches, found.errors.apply(found.values)),
+        touches.errors(sets[least].robot),
+        touches.errors(found.errors.apply(found.values)),
     )
     if bed_mesh:
         places = _places(touches.travels, found.errors.apply(found.values))
-        result = replace(result, mesh=BedMesh.fitted(places, -result.heights_after, -chosen.left_over, chosen.folds))
+        folds = chosen.folds[: len(touches)]
+        left_over = chosen.left_over[: folds.max() + 1, : len(touches)]
+        mesh = BedMesh.fitted(places, -result.heights_after, -left_over, folds)
+        result = replace(result, mesh=mesh)
     if on_refusal == "raise" and (reason := _refusal(result, fits[min(fits)])):
         raise CalibrationRefusedError([reason])
     return result
@@ -274,10 +315,15 @@ def _refusal(result: PrinterCalibration, smallest: Identification) -> str:
         result: the calibration.
         smallest: the fit of the smallest set of parameters.
     """
-    if are_clearly_smaller(result.held_out, result.heights_before):
+    if _is_clearly_better(result):
         return _misfit(result) or _undetermined(smallest)
     own, new = (1e6 * _rms(values) for values in (result.heights_before, result.held_out))
-    text = f"touches held out would be off by {new:.0f} µm, and with the printer's own numbers by {own:.0f} µm: "
+    far = ""
+    if _judged(result.touches) > len(result.touches):
+        far = "; distances by {after:.0f} and {before:.0f} µm".format(
+            **{name: 1e6 * value for name, value in result.distance_errors.items()}
+        )
+    text = f"touches held out would be off by {new:.0f} µm, and with the printer's own numbers by {own:.0f} µm{far}: "
     sizes = np.abs(result.heights_before)
     worst, usual = int(np.argmax(sizes)), float(np.median(sizes))
     if sizes[worst] > _OUTLIER * usual:
@@ -286,6 +332,18 @@ def _refusal(result: PrinterCalibration, smallest: Identification) -> str:
             f"touches by at most {1e3 * usual:.2g} mm; it may be wrong"
         )
     return _misfit(result) or text + "it is calibrated as well as these touches tell"
+
+
+def _is_clearly_better(result: PrinterCalibration) -> bool:
+    """Tell whether all errors held out are smaller, or only those of distances that contradict the old numbers."""
+    touches, judged = result.touches, _judged(result.touches)
+    own, far = slice(len(touches)), slice(len(touches), judged)
+    new = np.concatenate([result.held_out, result.chosen.errors[far]]) / touches.sigmas[:judged]
+    old = result.errors_before[:judged] / touches.sigmas[:judged]
+    if are_clearly_smaller(new, old):
+        return True
+    contradicts = judged > len(touches) and _rms(old[far]) > _CONTRADICTED
+    return contradicts and are_clearly_smaller(new[far], old[far]) and not are_clearly_smaller(old[own], new[own])
 
 
 def _misfit(result: PrinterCalibration) -> str:
@@ -329,9 +387,18 @@ def _beyond_a_ruler(fit: Identification) -> tuple[str, ...]:
     return tuple(fit.errors.names[k] for k in np.flatnonzero(sizes > _MISSED))
 
 
+def _judged(touches: Touches) -> int:
+    """Return how many errors count: those of touches, and of distances if one left out is told by another."""
+    return len(touches) + (len(touches.distances) if len(touches.distances) > 1 else 0)
+
+
 def _folds(touches: Touches) -> Array:
-    count = len(touches)
-    return np.asarray(np.random.default_rng(0).permutation(np.arange(count) % min(_FOLDS, count)))
+    """Return the fold of each touch and distance, -1 for a distance that is never held out; no fold has both."""
+    generator, count = np.random.default_rng(0), len(touches)
+    own = generator.permutation(np.arange(count) % min(_FOLDS, count))
+    if (far := _judged(touches) - count) == 0:
+        return np.concatenate([own, np.full(len(touches.distances), -1)])
+    return np.concatenate([own, own.max() + 1 + generator.permutation(np.arange(far) % min(_FOLDS, far))])
 
 
 def _held_out(touches: Touches, errors: GeometricErrors, count: int) -> Choice:
@@ -340,21 +407,17 @@ def _held_out(touches: Touches, errors: GeometricErrors, count: int) -> Choice:
     sizes = np.abs(found.held_out)
     if len(touches) < _ROBUST * len(errors) or sizes.max() < _OUTLIER * np.median(sizes):
         return found
-    return min(found, _with_loss(touches, errors, count, "tukey"), key=lambda choice: choice.mean_square)
+    return min(found, _with_loss(touches, errors, count, "tukey"), key=lambda choice: choice.score)
 
 
 def _with_loss(touches: Touches, errors: GeometricErrors, count: int, loss: Loss) -> Choice:
     folds = _folds(touches)
-    left_over = np.full((int(folds.max()) + 1, len(touches)), np.inf)
+    left_over = np.full((int(folds.max()) + 1, len(folds)), np.inf)
     for fold in range(len(left_over)):
         with contextlib.suppress(*_FAILURES):
             found = _fit(touches.measurements(np.flatnonzero(folds != fold)), errors, loss)
-            left_over[fold] = touches.heights - _heights(touches, found.errors.apply(found.values))
-    return Choice(count, loss, folds, left_over)
-
-
-def _heights(touches: Touches, robot: Robot) -> Array:
-    return np.asarray(robot.forward(touches.travels).positions[:, 2])
+            left_over[fold] = touches.errors(found.errors.apply(found.values))
+    return Choice(count, loss, touches, folds, left_over)
 
 
 def _places(travels: Array, robot: Robot) -> Array:

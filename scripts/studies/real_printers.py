@@ -2,7 +2,7 @@
 
 Each printer.cfg of Klipper, or height map of RepRapFirmware beside its config.g, is read, fitted and validated twice:
 by the package, and here, by readers of a few lines, trilateration and SciPy's least squares with the firmware's 6, 7
-and 9 parameters, each touch or tenth left out in turn.
+and 9 parameters, each touch or tenth left out in turn. Both use the distances measured on a print that a file has.
 
     python scripts/studies/real_printers.py FOLDER   # of files named *.cfg and heightmap.csv, at any depth
 """
@@ -21,13 +21,16 @@ from pm3dof_pin.printers.printer_calibration import calibrate_printer
 from pm3dof_pin.typing import Array
 
 COUNTS = (6, 7, 9)
-NOISE = 0.025  # [mm]
+NOISE, CALIPER = 0.025, 0.05  # [mm]
 SIZES = np.array([3.0, 5.0, 5.0, 5.0, 1.15, 1.15, 1.0, 1.0, 1.0])  # tolerances [mm, degrees]
 ANGLES = (210.0, 330.0, 90.0)
 
 
-def read(text: str) -> tuple[Array, Array, Array]:
-    """Return radius, end stops, angles and arms, shape=(10,), travels [mm], and heights [mm]."""
+Data = tuple[Array, Array, Array, Array, Array]
+
+
+def read(text: str) -> Data:
+    """Return radius, end stops, angles and arms, shape=(10,), travels, heights, distances and travels at their ends."""
     options: dict[str, str] = {}
     section = ""
     for line in text.splitlines():
@@ -53,14 +56,18 @@ def read(text: str) -> tuple[Array, Array, Array]:
     count = sum(bool(re.fullmatch(r"delta_calibrate height\d+", name)) for name in options)
     places = [options[f"delta_calibrate height{k}_pos"].split(",") for k in range(count)]
     heights = np.array([float(options[f"delta_calibrate height{k}"]) for k in range(count)])
+    far = sum(bool(re.fullmatch(r"delta_calibrate distance\d+", name)) for name in options)
+    ends = [[options[f"delta_calibrate distance{k}_pos{i}"].split(",") for i in (1, 2)] for k in range(far)]
     return (
         np.array([float(options["printer delta_radius"]), *stops, *angles, *arms]),
         -np.array(places, dtype=float) * steps,
         heights,
+        np.array([float(options[f"delta_calibrate distance{k}"]) for k in range(far)]),
+        -np.array(ends, dtype=float).reshape(-1, 2, 3) * steps,
     )
 
 
-def read_map(path: Path) -> tuple[Array, Array, Array]:
+def read_map(path: Path) -> Data:
     """Return the same from a heightmap.csv: travels are those to the probed points, the bed is at 0."""
     words = path.with_name("config.g").read_text(encoding="utf-8-sig")
     if re.search(r"^\s*M501", words, re.MULTILINE) and path.with_name("config-override.g").exists():
@@ -86,51 +93,58 @@ def read_map(path: Path) -> tuple[Array, Array, Array]:
     nozzle = np.array(probed) - [float(numbers.get("G31 X", 0.0)), float(numbers.get("G31 Y", 0.0)), 0.0]
     towers = start[0] * np.column_stack([np.cos(np.radians(turned)), np.sin(np.radians(turned))])
     rise = np.sqrt(arms**2 - np.sum((nozzle[:, None, :2] - towers) ** 2, axis=-1))
-    return start, nozzle[:, 2:] + rise - np.sqrt(arms**2 - start[0] ** 2) - stops, np.zeros(len(nozzle))
+    travels = nozzle[:, 2:] + rise - np.sqrt(arms**2 - start[0] ** 2) - stops
+    return start, travels, np.zeros(len(nozzle)), np.zeros(0), np.zeros((0, 2, 3))
 
 
 def _gears(options: dict[str, str], axis: str) -> list[str]:
     return [pair for pair in options.get(f"stepper_{axis} gear_ratio", "").split(",") if pair.strip()]
 
 
-def height(printer: Array, travels: Array) -> Array:
-    """Return heights of the nozzle, shape=(n,) [mm]; carriages rise with travels, from end stops at 0."""
+def nozzle(printer: Array, travels: Array) -> Array:
+    """Return places of the nozzle, shape=(n, 3) [mm]; carriages rise with travels, from end stops at 0."""
     radius, stops, angles, arms = printer[0], printer[1:4], np.radians(printer[4:7]), printer[7:]
     up = stops + np.sqrt(arms**2 - radius**2) + travels
     xy = radius * np.column_stack([np.cos(angles), np.sin(angles)])
     # differences of the three spheres are two planes: (x, y) = p + q z
     sides = 2.0 * (xy[1:] - xy[0])
     size = np.sum(xy**2, axis=1) + up**2 - arms**2
-    p = np.linalg.solve(sides, (size[:, 1:] - size[:, :1]).T).T - xy[0]
+    p = np.linalg.solve(sides, (size[:, 1:] - size[:, :1]).T).T
     q = np.linalg.solve(sides, -2.0 * (up[:, 1:] - up[:, :1]).T).T
     a = np.sum(q**2, axis=1) + 1.0
-    b = np.sum(p * q, axis=1) - up[:, 0]
-    c = np.sum(p**2, axis=1) + up[:, 0] ** 2 - arms[0] ** 2
-    return np.asarray((-b - np.sqrt(b**2 - a * c)) / a)
+    b = np.sum((p - xy[0]) * q, axis=1) - up[:, 0]
+    c = np.sum((p - xy[0]) ** 2, axis=1) + up[:, 0] ** 2 - arms[0] ** 2
+    z = (-b - np.sqrt(b**2 - a * c)) / a
+    return np.column_stack([p + q * z[:, None], z])
 
 
-def fitted(start: Array, travels: Array, heights: Array, count: int) -> Array:
-    """Return the printer with its 6, 7 or 9 parameters fitted, weakly held."""
+def fitted(data: Data, chosen: Array, count: int) -> Array:
+    """Return the printer with its 6, 7 or 9 parameters fitted to some touches and all distances, weakly held."""
+    start, travels, heights, distances, ends = data
 
     def printer(x: Array) -> Array:
         return start + np.concatenate([x[:6], [0.0], np.resize(x[6:], 3) if count > 6 else np.zeros(3)])
 
     def left(x: Array) -> Array:
-        return np.concatenate([(height(printer(x), travels) - heights) / NOISE, x / SIZES[:count]])
+        own = printer(x)
+        far = np.linalg.norm(nozzle(own, ends[:, 1]) - nozzle(own, ends[:, 0]), axis=1) - distances
+        near = nozzle(own, travels[chosen])[:, 2] - heights[chosen]
+        return np.concatenate([near / NOISE, far / CALIPER, x / SIZES[:count]])
 
     found = scipy.optimize.least_squares(left, np.zeros(count), x_scale=SIZES[:count], xtol=1e-12, ftol=1e-12)
-    return printer(found.x)
+    return np.asarray(printer(found.x))
 
 
-def textbook(start: Array, travels: Array, heights: Array) -> dict[int, float]:
+def textbook(data: Data) -> dict[int, float]:
     """Return rms errors of touches left out [um], by number of parameters."""
+    _, travels, heights, _, _ = data
     folds = np.random.default_rng(1).permutation(np.arange(len(travels)) % min(10, len(travels)))
     found = {}
     for count in COUNTS:
         left = np.empty(len(travels))
         for fold in range(folds.max() + 1):
             own, out = folds != fold, folds == fold
-            left[out] = height(fitted(start, travels[own], heights[own], count), travels[out]) - heights[out]
+            left[out] = nozzle(fitted(data, own, count), travels[out])[:, 2] - heights[out]
         found[count] = float(1e3 * np.sqrt(np.mean(left**2)))
     return found
 
@@ -145,11 +159,11 @@ def main() -> None:
         try:
             ours = calibrate_printer(path, on_refusal="keep")
             is_map = path.suffix == ".csv"
-            start, travels, heights = read_map(path) if is_map else read(path.read_text(encoding="utf-8-sig"))
+            data = read_map(path) if is_map else read(path.read_text(encoding="utf-8-sig"))
         except (PM3DofError, KeyError) as error:
             print(f"{path}: {error!r}")
             continue
-        other = textbook(start, travels, heights)
+        other = textbook(data)
         own = {choice.count: 1e6 * np.sqrt(choice.mean_square) for choice in ours.choices}
         chosen = own[ours.chosen.count]
         to_best.append(chosen / min(other.values()))
@@ -157,7 +171,7 @@ def main() -> None:
         lines += 1
         before = 1e6 * np.sqrt(np.mean(ours.heights_before**2))
         print(
-            f"{path.parent.name}: {len(travels)} touches, before {before:.0f}, "
+            f"{path.parent.name}: {len(data[1])} touches, {len(data[3])} distances, before {before:.0f}, "
             + ", ".join(f"{count}: {own[count]:.1f} ({other[count]:.1f})" for count in COUNTS)
             + f" um, chosen {ours.chosen.count}, gain {ours.gain:.2f}",
             flush=True,

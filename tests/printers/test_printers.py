@@ -204,6 +204,72 @@ def test_distances_determine_the_arms(tmp_path: Path) -> None:
     assert abs(np.ptp(printed) - 180.0) < 0.2 * abs(np.ptp(before) - 180.0)
 
 
+def analysed(believed: Delta, truth: Delta, noise: np.random.Generator) -> str:
+    """Return the twelve distances of DELTA_ANALYZE: along the spokes of its object, and along those of its pillars."""
+    angles = np.radians([210.0, 270.0, 330.0, 30.0, 90.0, 150.0])
+    spokes, lines = np.column_stack([np.cos(angles), np.sin(angles)]), []
+    for k in range(12):
+        along, pillar = (spokes[k], np.zeros(2)) if k < 6 else (spokes[(k - 4) % 6], 65.0 * spokes[k - 6])
+        ends = [believed.travels(*(pillar + r * along)) for r in (4.5, 69.5)]
+        length = float(np.linalg.norm(truth.nozzle(ends[1]) - truth.nozzle(ends[0]))) + noise.normal(0.0, 0.05)
+        lines += [f"#*# distance{k} = {length:.4f}"]
+        for number, end in enumerate(ends, start=1):
+            lines.append(f"#*# distance{k}_pos{number} = {','.join(f'{v:.3f}' for v in end / MICROSTEP)}")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("longer", [0.0, 1.5])
+def test_distances_count_where_the_bed_is_flat_already(longer: float, tmp_path: Path) -> None:
+    """Calibrated from seven touches, all of which fit, a printer whose arms are longer prints 0.4 % too large."""
+    truth, noise = replace(TRUTH, arms=(270.0 + longer,) * 3), np.random.default_rng(1)
+    scattered = np.array([0.0, 90.2, 85.5, 80.8, 66.5, 71.2, 76.0])  # as DELTA_CALIBRATE goes
+    spokes = np.radians([0.0, *np.arange(90.0, 450.0, 60.0)])
+    rows = touched(truth, Delta(), scattered[:, None] * np.column_stack([np.cos(spokes), np.sin(spokes)]), noise)
+    flat = textbook(rows, Delta(), 0)
+    path = tmp_path / "printer.cfg"
+    path.write_text(klipper(flat, rows, analysed(flat, truth, noise)))
+    if not longer:
+        with pytest.raises(CalibrationRefusedError, match=r"; distances by \d+ and \d+ µm: it is calibrated as well"):
+            calibrate_printer(path)
+        return
+    found = calibrate_printer(path)
+    assert found.chosen.count == 7
+
+    def scale(printer: Delta) -> float:
+        ends = [truth.nozzle(printer.travels(x, 0.0)) for x in (-60.0, 60.0)]
+        return float(np.linalg.norm(ends[1] - ends[0])) / 120.0
+
+    after = found.after
+    mine = Delta(
+        1e3 * after.radius, after.angles, tuple(1e3 * np.array(after.arms)), tuple(1e3 * np.array(after.end_stops))
+    )
+    assert abs(scale(flat) - 1.0) > 3e-3
+    assert abs(scale(mine) - 1.0) < 5e-4
+    # of held-out distances: the caliper's noise, and no more than a little of the fit's
+    errors = found.summary()["distance_error_rms_m"]
+    assert errors["before"] > 2e-4
+    assert errors["after"] == pytest.approx(5e-5, rel=0.6)
+
+
+def test_distances_stand_for_touches(tmp_path: Path) -> None:
+    """Four touches and twelve distances carry the radius, end stops, angles and arms; three touches do not."""
+    truth, noise = replace(TRUTH, arms=(271.5,) * 3), np.random.default_rng(0)
+    rows = touched(truth, Delta(), points(((80.0, 3),)), noise)
+    distances = analysed(Delta(), truth, noise)
+    path = tmp_path / "printer.cfg"
+    path.write_text(klipper(Delta(), rows, distances))
+    after = calibrate_printer(path).after
+    mine = Delta(
+        1e3 * after.radius, after.angles, tuple(1e3 * np.array(after.arms)), tuple(1e3 * np.array(after.end_stops))
+    )
+    for printer, least in ((mine, 0.0), (Delta(), 0.3)):
+        off = [truth.nozzle(printer.travels(x, y))[2] for x, y in points(((30.0, 7), (80.0, 9)))]
+        assert least <= float(np.sqrt(np.mean(np.square(off)))) < least + 0.05 + least
+    path.write_text(klipper(Delta(), rows[:3], distances))
+    with pytest.raises(CalibrationRefusedError, match="3 touches and 12 distances for 6 parameters: touch at least 4"):
+        calibrate_printer(path)
+
+
 def test_the_new_file_replaces_the_old_numbers(travels: np.ndarray, tmp_path: Path) -> None:
     path = tmp_path / "printer.cfg"
     path.write_text(klipper(Delta(), travels))
