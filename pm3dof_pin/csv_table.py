@@ -30,7 +30,11 @@ _UNITS = {
     "mrad": ("rad", 1e-3),
     "urad": ("rad", 1e-6),
     "ms": ("s", 1e-3),
+    "us": ("s", 1e-6),
+    "min": ("s", 60.0),
+    "h": ("s", 3600.0),
 }
+_OF_TIME_ALONE = ("us", "min", "h")  # `x_min` is no time
 _CONDITIONS = ("temperature_", "load_", "rise_", "gradient_")
 
 
@@ -198,7 +202,7 @@ class CsvTable:
         names, factors = [*header], np.ones(len(header))
         for k, name in enumerate(header):
             stem, _, unit = name.rpartition("_")
-            if unit in _UNITS and not is_condition(name):
+            if unit in _UNITS and not is_condition(name) and (stem == "time" or unit not in _OF_TIME_ALONE):
                 names[k], factors[k] = f"{stem}_{_UNITS[unit][0]}", _UNITS[unit][1]
         return names, factors
 
@@ -216,7 +220,9 @@ class CsvTable:
 
     def _plain_numbers(self, lines: Sequence[str], read: Sequence[tuple[int, str]]) -> Array | None:
         """Return the numbers of lines that have nothing else, as those of most long files; None for others."""
-        if self._decimal_commas or len(read) < len(self.header) or any("_" in line or '"' in line for line in lines):
+        if self._decimal_commas or len(read) < len(self.header):
+            return None
+        if any("_" in line or '"' in line or not line.isascii() for line in lines):
             return None
         with suppress(ValueError):
             numbers = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2) if any(lines) else np.zeros((0, 0))
@@ -226,11 +232,18 @@ class CsvTable:
     def _number(self, cell: str, column: str) -> float:
         word = without_apostrophe(cell.strip())
         try:
-            number = word.replace(",", ".") if self._decimal_commas else word
-            return float(number.replace("_", "no digit")) if word else np.nan
+            return plain_number(word.replace(",", ".") if self._decimal_commas else word) if word else np.nan
         except ValueError as error:
-            problem = f"{column} is '{word}', expected a number"
+            digits = "" if word.isascii() else " in digits 0 to 9"
+            problem = f"{column} is '{word}', expected a number{digits}"
             raise MeasurementError(self.path, problem, [self.lines[-1]]) from error
+
+
+def plain_number(word: str) -> float:
+    """Return the number that a word is; raise ValueError for others, such as digits of other scripts."""
+    if not word.isascii() or "_" in word:
+        raise ValueError(word)
+    return float(word)
 
 
 def _is_numbers(line: str) -> bool:

@@ -92,6 +92,8 @@ class AcceptanceResult:
             numbers = [*values.values(), *uncertainties.values(), data["readings"]]
             if data["test"] not in STANDARDS or set(values) != set(uncertainties) or not np.isfinite(numbers).all():
                 raise ValueError(data["test"])
+            if wrong := [symbol for symbol, uncertainty in uncertainties.items() if uncertainty < 0.0]:
+                raise ValueError(f"the uncertainty of {', '.join(wrong)} is negative")
             return cls(data["test"], dict(values), dict(uncertainties), int(data["readings"]))
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             raise DescriptionError(path, "contents", f"expected results of an acceptance test ({error!r})") from error

@@ -13,8 +13,11 @@ is otherwise undecided. It is exceeded by one pose in twenty, and these count in
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import date
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -22,6 +25,7 @@ from typing import Any, Literal
 
 from pm3dof_pin.calibration.acceptance import AcceptanceResult
 from pm3dof_pin.calibration.folder import checksum_of, read_summary
+from pm3dof_pin.csv_table import plain_number
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.figures.html_page import html_page, html_table
@@ -87,6 +91,7 @@ SCHEMA: dict[str, Any] = {
 }
 """JSON Schema of :attr:`Certificate.data`."""
 
+_DAY, _ABSOLUTE_ZERO = re.compile(r"\d{4}-\d\d-\d\d", re.ASCII), -273.15
 _REQUIRED = ("date", "machine", "instrument", "temperature_C", "procedure", "signed_by")
 _OPTIONAL = ("place", "limits_m", "decision_rule")
 _BOUND = "bound of the tip error, corrected, at 95 % of the poses of the workspace, each with 95 % probability"
@@ -219,18 +224,26 @@ def _about(path: Path) -> dict[str, Any]:
     for key in ("date", "procedure", "signed_by", "place"):
         if key in data and not (isinstance(data[key], str) and data[key].strip()):
             raise DescriptionError(path, key, f"expected words, not {data[key]!r}")
-    if len(data["date"]) != len("2026-03-01") or data["date"].count("-") != len("--"):
-        raise DescriptionError(path, "date", f"expected YYYY-MM-DD, not {data['date']}")
+    if not _is_day(data["date"]):
+        raise DescriptionError(path, "date", f"expected YYYY-MM-DD, a day of the calendar, not {data['date']}")
     for kind in ("machine", "instrument"):
         item = data[kind]
         if not isinstance(item, dict) or not {"name", "serial_number"} <= set(item) <= set(_ITEM_KEYS):
             raise DescriptionError(path, kind, f"expected name and serial_number, of {', '.join(_ITEM_KEYS)}")
         data[kind] = {key: str(value) for key, value in item.items()}
+        if (until := data[kind].get("calibrated_until")) is None:
+            continue
+        if not (_is_day(until) or _is_day(f"{until}-01")):
+            raise DescriptionError(path, kind, f"expected calibrated_until YYYY-MM-DD or YYYY-MM, not {until}")
+        if until < data["date"][: len(until)]:
+            raise DescriptionError(path, kind, f"is calibrated until {until}, expected no day before {data['date']}")
     temperature = data["temperature_C"]
     if not (
         isinstance(temperature, list) and len(temperature) == len(("low", "high")) and all(map(_is_number, temperature))
     ):
         raise DescriptionError(path, "temperature_C", f"expected lowest and highest, not {temperature!r}")
+    if not _ABSOLUTE_ZERO < temperature[0] <= temperature[1]:
+        raise DescriptionError(path, "temperature_C", f"expected the lowest first, not {temperature!r}")
     limits = data.get("limits_m", {})
     if isinstance(limits, dict):
         data["limits_m"] = limits = {str(symbol): _number(value) for symbol, value in limits.items()}
@@ -241,10 +254,16 @@ def _about(path: Path) -> dict[str, Any]:
     return data
 
 
+def _is_day(text: str) -> bool:
+    with suppress(ValueError):
+        return bool(_DAY.fullmatch(text) and date.fromisoformat(text))
+    return False
+
+
 def _number(value: object) -> object:
     """Return a number for words such as 100e-6, which YAML takes for a word without a decimal point."""
     try:
-        return float(value) if isinstance(value, str) else value
+        return plain_number(value) if isinstance(value, str) else value
     except ValueError:
         return value
 

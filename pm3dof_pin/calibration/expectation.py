@@ -29,6 +29,11 @@ from pm3dof_pin.typing import Array, Indices, Mask
 
 _POSES = 2000  # number of poses of the workspace: their rms is known to a percent or two
 _FEWEST_POSES, _LARGEST = 300, 350_000  # of machines with many parameters: poses times parameters, at most
+_COUNTS = 0.3  # part of the tip error below which it is not worth a word
+_AS_MEASURED = {
+    "base": "in the frame of the instrument, as the machine's motion places it in the base",
+    "tool": "of the tool as its targets show it",
+}
 _WHOLE_POSES = 6  # drives with which commands correct whole poses
 _WHOLE = 0.995  # fraction of a correction that counts as all
 _POORLY_DESCRIBED = 2.0  # noise factor from which the parameters do not describe the machine
@@ -131,6 +136,9 @@ class Expectation:
     #: over the workspace [m]; None where they are not much larger than the noise
     if_noise_is_larger: float | None
     budget: Mapping[str, float]  #: contribution of each source to that error, root mean square over the workspace [m]
+    #: how far the tip is off on top of that because "base" and "tool" count where the measurements have them; without
+    #: those that the measurements locate, root mean square over the workspace [m]
+    unlocated: Mapping[str, float]
     systematic: Sequence[Systematic]  #: drift and hysteresis, where rows have times or directions
     repeated: Repeatability | None  #: from poses visited several times; None if there are none
 
@@ -153,11 +161,16 @@ class Expectation:
             reached &= answer.error_bound <= bound
             total = _rms(answer.predicted_error[reached])
         repeated = Repeatability.from_fit(calibration)
-        budget = _uncertainty_budget(calibration, poses[reached], repeated)
+        model = compensation.model_poses(poses[reached])
+        square = _mean_square(calibration, model)
+        budget = _uncertainty_budget(calibration, poses[reached], model, square, repeated)
+        unlocated = {} if square is None else _unlocated(calibration, square)
         interval = calibration.tip_interval(poses[reached])
         if interval is not None:
             scope += f", {1e6 * interval[0]:.0f} to {1e6 * interval[1]:.0f} with 95 % probability"
         expect = f"a tip error of {1e6 * total:.0f} µm ({scope}), below {1e6 * bound:.0f} µm at 95 % of the poses"
+        if unlocated:
+            expect += f", {' and '.join(_AS_MEASURED[part] for part in unlocated)}"
         if 2.0 * budget["parameters"] ** 2 > total**2 - budget["floor"] ** 2:
             expect += (
                 "; most of the uncertainty was not measured and is the same at all poses, so for 95 % of machines such "
@@ -180,12 +193,13 @@ class Expectation:
             )
         return cls(
             expect,
-            "; ".join(_unseen(calibration)) or "nothing that moves the tool",
+            "; ".join(_unseen(calibration, unlocated)) or "nothing that moves the tool",
             _advice(calibration, validation, budget),
             bound,
             interval,
             quiet,
             budget,
+            unlocated,
             Systematic.all_from_fit(calibration),
             repeated,
         )
@@ -195,7 +209,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _unseen(calibration: Fit) -> list[str]:
+def _unseen(calibration: Fit, unlocated: Mapping[str, float]) -> list[str]:
     found = calibration.identification
     shown = found.settled.visits
     nominal = calibration.compensation.errors.robot.forward(shown.commands)
@@ -209,9 +223,12 @@ def _unseen(calibration: Fit) -> list[str]:
     if (part := calibration.part_corrected) < _WHOLE:
         hidden.append(f"{100.0 * (1.0 - part):.0f} % of the correction, left out because it could also do harm")
     if found.nuisances.columns("frame").size:
-        hidden.append("the location of the base, except through the machine's own motion")
+        hidden.append(f"the location of the base, except through the machine's own motion{_amount(unlocated, 'base')}")
+    elif found.measurements.on_datums.all():
+        hidden.append("the location of the base, which counts with its tolerances")
     if found.nuisances.columns("targets").size:
-        hidden.append("a shift or rotation common to all targets, equivalent to one of the tool")
+        same = "a shift or rotation common to all targets, equivalent to one of the tool"
+        hidden.append(f"{same}{_amount(unlocated, 'tool')}")
     counts = np.bincount(found.measurements.visits.pose_numbers)
     if counts.max() < 2:
         hidden.append("repeatability (no pose was measured twice)")
@@ -221,6 +238,10 @@ def _unseen(calibration: Fit) -> list[str]:
     elif unapproached:
         hidden.append("hysteresis (the measurements have no approaches)")
     return hidden
+
+
+def _amount(unlocated: Mapping[str, float], part: str) -> str:
+    return f" (by the tolerances another {1e6 * unlocated[part]:.0f} µm, rms)" if part in unlocated else ""
 
 
 def _advice(calibration: Fit, validation: HeldOut | None, budget: Mapping[str, float]) -> str:
@@ -237,7 +258,7 @@ def _advice(calibration: Fit, validation: HeldOut | None, budget: Mapping[str, f
     advice = {
         "floor": "cannot be corrected by commands: use better parts (error-map names them)",
         "instrument": "is measurement noise: measure more poses, or use a better instrument",
-        "frame": "is due to the instrument's frame: measure poses all over the workspace, or the base itself",
+        "frame": "is due to the instrument's place: measure poses all over the workspace, or the base itself",
         "targets": "is due to target positions, drift or hysteresis: measure the targets themselves, or more rows",
         "parameters": "is due to unobserved parameters: measure full poses, or targets away from the tool point",
         "learned": "is due to the learned part: measure more poses",
@@ -252,30 +273,59 @@ def _advice(calibration: Fit, validation: HeldOut | None, budget: Mapping[str, f
     return text if validation is not None else f"{text}; and validate with a second file of measurements (--validation)"
 
 
-def _uncertainty_budget(calibration: Fit, poses: Poses, repeated: Repeatability | None) -> dict[str, float]:
+def _mean_square(calibration: Fit, model: Poses) -> Array | None:
+    """Return the mean square of the tip's motions by parameters, base and tool, shape=(p + 12, same) [m^2].
+
+    None without parameters.
+    """
+    found, compensation = calibration.identification, calibration.compensation
+    if compensation.values is None:
+        return None
+    motions = np.concatenate([sensitivities(found.errors, model, found.values).errors, datum_motions(model)], axis=2)
+    effects = (motions * compensation.weights[:, None]).reshape(-1, motions.shape[2])
+    return np.asarray(effects.T @ effects / len(model))
+
+
+def _unlocated(calibration: Fit, square: Array) -> dict[str, float]:
+    """Return how far the tip is off because base and tool are where the measurements have them, root mean square [m].
+
+    What no measurement locates, errors of the parts move unseen: it is not in the tip error, and comes on top.
+    """
+    found, count = calibration.identification, len(calibration.identification.errors)
+    known = found.seen_covariance
+    if len(known) == count:
+        return {}
+    as_measured, amounts = float(np.sum(square * known)), {}
+    for part, own in (("base", slice(count, count + 6)), ("tool", slice(count + 6, None))):
+        if not known[own, own].any():
+            continue
+        others = known.copy()
+        others[own], others[:, own] = 0.0, 0.0
+        amounts[part] = float(np.sqrt(max(0.0, np.sum(square * others) - as_measured)))
+    return {part: amount for part, amount in amounts.items() if amount > _COUNTS * np.sqrt(as_measured)}
+
+
+def _uncertainty_budget(
+    calibration: Fit, poses: Poses, model: Poses, square: Array | None, repeated: Repeatability | None
+) -> dict[str, float]:
     """Return each source's contribution to the corrected machine's tip error, root mean square over desired poses [m].
 
-    "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": their positions, with
-    with the uncertainty that drift and hysteresis bring to them; "parameters": unobserved ones; "learned"; "drift" and
-    "hysteresis": of the machine at work, whose time and directions are not known; "unmodelled"; "repeatability". The
-    squares sum up to the square of the expected tip error.
+    "floor": what no command corrects, as far as it is known; "instrument"; "frame": where the instrument or what is
+    measured against is; "targets": their positions, with the uncertainty that drift and hysteresis bring to them, but
+    not a shift with the tool, which is none of the tool as they show it; "parameters": unobserved ones; "learned";
+    "drift" and "hysteresis": of the machine at work, whose time and directions are not known; "unmodelled";
+    "repeatability". The squares sum up to the square of the expected tip error.
     """
     compensation, found = calibration.compensation, calibration.identification
     weights = compensation.weights
     conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
-    model = compensation.model_poses(poses)
     parts = dict.fromkeys(("floor", "instrument", "frame", "targets", "parameters", "learned"), 0.0)
-    if compensation.values is not None:
+    if compensation.values is not None and square is not None:
         nearest = nearest_poses(model, poses.transforms, compensation.eta, on_failure="nan")
         left = pose_difference(poses.transforms, nearest.transforms) * weights
         parts["floor"] = float(np.mean(np.sum(left**2, axis=1)))
-        motions = np.concatenate(
-            [sensitivities(found.errors, model, found.values).errors, datum_motions(model)], axis=2
-        )
-        effects = (motions * weights[:, None]).reshape(-1, motions.shape[2])
-        square = effects.T @ effects / len(poses)
         parts |= _of_parameters(calibration, square)
-        left_out = np.zeros(motions.shape[2])
+        left_out = np.zeros(len(square))
         left_out[: len(found.values)] = found.values - compensation.values
         parts["parameters"] += float(left_out @ square @ left_out)
     if compensation.learned is not None:
@@ -317,7 +367,8 @@ def _of_parameters(calibration: Fit, square: Array) -> dict[str, float]:
         return float(noise), float(ignorance)
 
     columns = np.arange(found.rows.shape[2])
-    frame = machine + found.nuisances.columns("frame")
+    places = ("frame", "stations", *{datum.kind.name for datum in found.measurements.datums})
+    frame = machine + np.concatenate([found.nuisances.columns(kind) for kind in places])
     noise, ignorance = variances(columns >= machine)
     with_frame = sum(variances((columns >= machine) & ~np.isin(columns, frame)))
     total = sum(variances(columns < 0))

@@ -208,7 +208,8 @@ def plan_measurements(
         )
     choices = touching_poses(drawn, instrument)
     choices = _declared(choices) if among is None else choices
-    Spacing(choices, min_distance).draw(np.arange(len(choices)), poses or 1, np.random.default_rng(seed))  # before work
+    spacing = Spacing(choices, min_distance, touching=instrument.stops)
+    spacing.draw(np.arange(len(choices)), poses or 1, np.random.default_rng(seed))  # before work
     near_singular, sizes = 0, np.zeros(len(choices))
     if among is None:
         sizes = _sensitivities(errors, choices)

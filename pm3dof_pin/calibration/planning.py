@@ -187,7 +187,7 @@ class PlanningProblem:
         if len(effects) > effects.shape[1]:
             effects = np.asarray(np.linalg.qr(effects, mode="r"))  # of the same squares
         self._effects, self._tip = effects, effects.T @ effects
-        self._spacing = Spacing(candidates, min_distance)
+        self._spacing = Spacing(candidates, min_distance, touching=self.instrument.stops)
         self.prior = prior
         self.sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
         self._prior = np.diag(np.concatenate([self.sigmas, self.nuisances.sigmas]) ** -2.0)

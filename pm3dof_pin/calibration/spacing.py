@@ -20,15 +20,21 @@ _SHUFFLES = 20
 class Spacing:
     """Poses to choose from, and how far from each other those chosen must be.
 
+    Ranges are those of the commands, or, if the poses touch something, those that these poses have of it.
+
     Raises:
         InvalidValueError: the distance is negative.
     """
 
-    def __init__(self, poses: Poses, distance: float = MIN_DISTANCE) -> None:
+    def __init__(self, poses: Poses, distance: float = MIN_DISTANCE, *, touching: bool = False) -> None:
         if not distance >= 0.0:
             raise InvalidValueError("min_distance", distance, "a non-negative distance")
         lower, upper = coordinate_ranges(poses.robot, poses.robot.command_coordinates)
-        self._places = poses.commands / (upper - lower) / np.sqrt(len(lower))
+        ranges = upper - lower
+        if touching and len(poses):
+            taken = np.ptp(poses.commands, axis=0)
+            ranges = np.where(taken > 0.0, np.minimum(ranges, taken), ranges)
+        self._places = poses.commands / ranges / np.sqrt(len(lower))
         self._distance = distance
 
     def from_pose(self, index: int) -> Array:

@@ -56,6 +56,11 @@ def recheck(
     kept, zeroed = (1e6 * value for value in (found.off_if_kept, found.off_if_zeroed))
     lines = [
         f"{found.verdict} ({chances}), from {found.rows} rows",
+        *(
+            [f"chance explains residuals as large with {100.0 * found.risk:.2g} % if the most probable were true"]
+            if found.is_forced
+            else []
+        ),
         f"tip error on top of what the calibration states, rms: {kept:.1f} µm as it is, {zeroed:.1f} µm with new zeros",
         "",
         *table_lines(["drive", "place minus reading", "sigma", "shown with 95 %", ""], rows),

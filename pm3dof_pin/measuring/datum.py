@@ -28,6 +28,9 @@ _MIRROR = np.array([-1.0, 1.0])
 _CLEARLY = 0.1  # of the spread of image coordinates, medians
 _DAMPING, _FASTER = 1e-12, 100.0
 
+INCLINATION = (4,)
+"""The ry of a plane upright on that of the points, by which it leans: those that touch it do not tell, or care."""
+
 
 def _nothing(cells: Array) -> tuple[Array, Array | float]:
     return np.zeros((len(cells), 3)), 1.0
@@ -99,6 +102,7 @@ class Datum:
     #: whether it is a plane upright on that of all points seen, where only the cosine of its inclination matters: the
     #: placement's ry stretches heights instead
     upright: bool = False
+    idle: tuple[int, ...] = ()  #: components of its placement that change nothing, such as an :data:`INCLINATION`
 
     @classmethod
     def fitted(cls, kind: DatumKind, number: int, points: Array, values: Array) -> Datum:
@@ -167,7 +171,8 @@ class Datum:
             return self
         normal = along @ axes[:2] / cosine
         turned = np.stack([axes[2], np.cross(normal, axes[2]), normal])
-        return replace(self, axes=turned, origin=middle - values.mean() * normal, upright=True)
+        idle = () if np.ptp(values) > 0.0 else INCLINATION
+        return replace(self, axes=turned, origin=middle - values.mean() * normal, upright=True, idle=idle)
 
     @classmethod
     def _nearest(cls, kind: DatumKind, number: int, points: Array, values: Array) -> Datum:
@@ -210,9 +215,14 @@ class Datum:
         return np.asarray(np.isfinite(self.values[:, 0]))
 
     @property
+    def moves(self) -> tuple[int, ...]:
+        """The components of the twist of its placement that matter."""
+        return tuple(k for k in self.kind.moves if k not in self.idle)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters of its placement."""
-        return tuple(f"{self.kind.name}{self.number}.{TOOL_COMPONENTS[k]}" for k in self.kind.moves)
+        return tuple(f"{self.kind.name}{self.number}.{TOOL_COMPONENTS[k]}" for k in self.moves)
 
     def __getitem__(self, chosen: Indices) -> Datum:
         """Return the datum for some rows."""
@@ -231,14 +241,14 @@ class Datum:
     def by_placement(self, points: Array) -> Array:
         """Return the derivatives of the predicted numbers by the datum's placement, shape=(n, dimension, k).
 
-        The placement moves by a twist [v; omega] in the datum's own axes; see `moves` of :class:`DatumKind`.
+        The placement moves by a twist [v; omega] in the datum's own axes; see :attr:`moves`.
         """
         return np.asarray(self._gradient(points) @ self._away(points))
 
     def moved(self, values: Array) -> Datum:
         """Return the datum at another placement, shape=(k,) [m, rad]; see :meth:`by_placement`."""
         twist = np.zeros(6)
-        twist[list(self.kind.moves)] = values
+        twist[list(self.moves)] = values
         if np.isfinite(self.height):
             return self._lifted(twist)
         stretched = self.values
@@ -274,7 +284,7 @@ class Datum:
             whole[:, :, 2] = self.reach * own / np.maximum(np.sum(own**2, axis=1, keepdims=True), _SETTLED)
         if self.upright:
             whole[:, :, 4] = np.stack([nothing, nothing, np.nan_to_num(self.values[:, 0])], axis=1)
-        return np.asarray(whole[:, :, self.kind.moves])
+        return np.asarray(whole[:, :, self.moves])
 
     def _sees_behind(self, points: Array) -> bool:
         return self.kind.through_a_lens and bool((self._own(points)[self.rows, 2] <= 0.0).any())

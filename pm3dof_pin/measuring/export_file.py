@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal, get_args
 
-from pm3dof_pin.csv_table import CsvTable, is_condition
+from pm3dof_pin.csv_table import CsvTable, is_condition, plain_number
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError
 from pm3dof_pin.files import csv_text, read_bytes, without_apostrophe
@@ -43,12 +43,17 @@ _UNITS = {
     "urad": ("urad", "µrad", "μrad"),
     "s": ("s", "sec", "second", "seconds"),
     "ms": ("ms", "millisecond", "milliseconds"),
+    "us": ("us", "µs", "μs"),
+    "min": ("min", "minute", "minutes"),
+    "h": ("h", "hour", "hours"),
 }
 _UNIT_OF = {word: unit for unit, words in _UNITS.items() for word in words}
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _AT_THE_END = re.compile(r"(.*\S)[\s_/]+(\S+)")
 _OF_DRIVES = ("", "from_", "approach_")
-_TIMES = ("timestamp", "date_time", "datetime")
+_TIMES = ("time", "timestamp", "time_stamp", "date_time", "datetime", "t", "elapsed", "elapsed_time", "relative_time")
+"""Headings of times, the first that a file has being used; those after `datetime` only with a unit of time."""
+_WITH_UNIT_ONLY, _OF_TIME = _TIMES[5:], ("s", "ms", "us", "min", "h")
 _COMMENTS = ("#", "//", "%")
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _LATIN = b"\xb0\xb5"  # degree and micro signs, all that is guessed of a text that is not UTF-8
@@ -141,7 +146,8 @@ class ColumnMap:
             own, given = _split(column)
             return f"{own}_{unit}" if unit and given and whole.casefold() not in known else column
         simple = re.sub(r"\s+", "_", stem).lower()
-        simple = "time" if simple in _TIMES else simple
+        if simple in _TIMES and (unit in _OF_TIME or simple not in _WITH_UNIT_ONLY):
+            simple = "time"
         if not _SIMPLE.fullmatch(simple):
             return heading
         return f"{simple}_{unit}" if unit else simple
@@ -240,7 +246,7 @@ class Export:
         decimal = given.decimal or ("." if separator == "," else ",")
         rows = _rows(path, lines, header_line, separator)
         headings, rows = _without_headings(path, headings, rows)
-        names = [name_of(heading) for heading in headings]
+        names = _with_one_time(headings, [name_of(heading) for heading in headings])
         names, rows = _without_last(path, header_line, names, rows)
         kept = [k for k, name in enumerate(names) if name != IGNORE]
         headed = [names[k] for k in kept]
@@ -288,6 +294,20 @@ class Export:
         return CsvTable(self.path, needed, words=self.words, text=self.text, added=int(self.header_line == 0))
 
 
+def _with_one_time(headings: Sequence[str], names: list[str]) -> list[str]:
+    """Return the names of columns, of several kinds of times only the first of :data:`_TIMES` as one."""
+
+    def order(heading: str) -> int:
+        simple = "_".join(_split(_plain(heading))[0].lower().split())
+        return _TIMES.index(simple) if simple in _TIMES else -1
+
+    ranks = [order(h) for h, name in zip(headings, names, strict=True) if _split(name)[0] == "time"]
+    return [
+        heading if _split(name)[0] == "time" and order(heading) > min(ranks) else name
+        for heading, name in zip(headings, names, strict=True)
+    ]
+
+
 def _plain(heading: str) -> str:
     return " ".join(heading.strip().strip('"').split())
 
@@ -296,7 +316,7 @@ def _split(name: str) -> tuple[str, str]:
     """Return a heading without its unit, and the unit, "" if there is none."""
     for pattern in (_BRACKETS, _AT_THE_END):
         if (found := pattern.fullmatch(name)) and (unit := _UNIT_OF.get(found[2].lower())):
-            return found[1], unit
+            return found[1].rstrip(" ,"), unit
     stem, _, unit = name.rpartition("_")
     return (stem, _UNIT_OF[unit.lower()]) if stem and unit.lower() in _UNIT_OF else (name, "")
 
@@ -415,7 +435,7 @@ def _without_last(
 def _are_numbers(cells: dict[int, list[str]], k: int) -> bool:
     def is_number(cell: str) -> bool:
         try:
-            float(cell or "nan")
+            plain_number(cell or "nan")
         except ValueError:
             return False
         return True

@@ -32,10 +32,12 @@ class PlacedDatum:
     origin: Point  #: about where, base axes [m]
     axes: tuple[Point, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  #: as rows
     touch: tuple[float, ...] | None = None  #: the only numbers that can be measured, such as a ballbar's length [m]
+    idle: tuple[int, ...] = ()  #: see :class:`~pm3dof_pin.measuring.datum.Datum`
 
     def datum(self, values: Array, number: int = 1) -> Datum:
         """Return the datum, with what was measured against it, shape=(n, dimension) [m]."""
-        return Datum(self.kind, number, np.array(self.axes), np.array(self.origin), values, np.ones(len(values)))
+        axes, origin, scales = np.array(self.axes), np.array(self.origin), np.ones(len(values))
+        return Datum(self.kind, number, axes, origin, values, scales, idle=self.idle)
 
 
 @dataclass(frozen=True)

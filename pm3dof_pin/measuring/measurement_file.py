@@ -186,6 +186,9 @@ class _Reader:
         needed = [name for name in self._table.columns if name not in may_be_empty]
         whole &= np.isfinite(self._table.matrix(needed)).all(axis=1)
         self._table.keep(whole)
+        for name in (each for each in self._table.columns if each.startswith("sigma_")):
+            if (negative := self._table[name] < 0.0).any():
+                self._refuse(f"{name} is not positive", negative)
         self._seen, self._on_datum = self._seen[whole], np.any(self._flags_of_datums(), axis=0)
 
     def measurements(self, instrument: Instrument) -> Measurements:

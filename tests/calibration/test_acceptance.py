@@ -202,6 +202,7 @@ def test_a_wrong_file_is_refused(test: Any, text: str, says: str, tmp_path: Path
         evaluate_acceptance(test, path)
 
 
+_TRACKER = {"name": "Laser tracker", "serial_number": 750123}
 ABOUT = {
     "date": "2026-03-01",
     "machine": {"name": "Tripod 7", "serial_number": "T-007"},
@@ -279,6 +280,21 @@ def test_a_bound_has_no_uncertainty_beside_it(
     [
         ({"date": None}, "date is missing"),
         ({"date": "1 March"}, "expected YYYY-MM-DD"),
+        ({"date": "2026-02-30"}, "expected YYYY-MM-DD, a day of the calendar, not 2026-02-30"),
+        ({"date": "２０２６-03-01"}, "expected YYYY-MM-DD"),
+        ({"date": "20260301--"}, "expected YYYY-MM-DD"),
+        (
+            {"instrument": _TRACKER | {"calibrated_until": "2026-02"}},
+            "until 2026-02, expected no day before 2026-03-01",
+        ),
+        ({"machine": _TRACKER | {"calibrated_until": "2026-02-28"}}, "machine.* until 2026-02-28, expected no day"),
+        (
+            {"instrument": _TRACKER | {"calibrated_until": "March 2027"}},
+            "expected calibrated_until YYYY-MM-DD or YYYY-MM",
+        ),
+        ({"temperature_C": [20.3, 19.8]}, r"expected the lowest first, not \[20.3, 19.8\]"),
+        ({"temperature_C": [-300.0, 19.8]}, "expected the lowest first"),
+        ({"limits_m": {"tip.rms": "１e-4"}}, "positive numbers"),
         ({"machine": {"name": "x"}}, "expected name and serial_number"),
         ({"temperature_C": 20}, "lowest and highest"),
         ({"limits_m": {"tip.rms": -1.0}}, "positive numbers"),
@@ -295,6 +311,23 @@ def test_a_wrong_description_is_refused(
     about.write_text(yaml.safe_dump({key: value for key, value in (ABOUT | change).items() if value is not None}))
     with pytest.raises(DescriptionError, match=says):
         Certificate.make(calibration_folder, about)
+
+
+@pytest.mark.parametrize("until", ["2026-03", "2026-03-01", "2027-01"])
+def test_an_instrument_calibrated_until_then_is_signed_for(
+    until: str, calibration_folder: Path, tmp_path: Path
+) -> None:
+    about = tmp_path / "about.yaml"
+    about.write_text(yaml.safe_dump(ABOUT | {"instrument": _TRACKER | {"calibrated_until": until}}))
+    assert Certificate.make(calibration_folder, about).data["instrument"]["calibrated_until"] == until
+
+
+def test_a_negative_uncertainty_is_refused(tmp_path: Path) -> None:
+    results = tmp_path / "positioning.json"
+    wrong = AcceptanceResult("positioning", {"A": 1e-5, "B": 1e-5}, {"A": 1e-6, "B": -1e-6}, 20)
+    results.write_text(json.dumps(wrong.as_data()))
+    with pytest.raises(DescriptionError, match="the uncertainty of B is negative"):
+        AcceptanceResult.read(results)
 
 
 def test_a_changed_summary_is_not_signed(calibration_folder: Path, tmp_path: Path) -> None:

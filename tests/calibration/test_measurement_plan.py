@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.calibration.assembled import OUT_OF_TOLERANCE
+from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.measurement_plan import plan_measurements
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
@@ -19,6 +21,7 @@ from pm3dof_pin.measuring.measurement_file import read_measurements, write_measu
 from pm3dof_pin.measuring.measurements import joint_coordinates
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.measuring.observation import planned_measurements
+from pm3dof_pin.simulation.worlds import World
 
 MACHINES = Path(__file__).parents[1] / "machines"
 NAMES = tuple(INSTRUMENTS)
@@ -131,6 +134,37 @@ def test_a_point_that_never_leaves_a_line_locates_nothing(instrument: str) -> No
     with pytest.raises(InvalidValueError, match="stays on a line or at one place"):
         plan_measurements(errors, 15, instrument=instrument, candidates=60, machines=0)
     assert plan_measurements(errors, 15, instrument="gauge", point=(0.1, 0.0, 0.0), candidates=60, machines=0).poses
+
+
+@pytest.mark.parametrize("instrument", ["probe", "gauge"])
+@pytest.mark.parametrize("machine", ["three_rpr", "five_bar", "five_bar on edge"])
+def test_planar_machines_touch_planes_across_their_own(machine: str, instrument: str, tmp_path: Path) -> None:
+    """In xy and in xz: touches along a line, whose plane may lean as it likes; another machine finds it by itself."""
+    name, _, on_edge = machine.partition(" ")
+    folder = tmp_path / name
+    shutil.copytree(MACHINES / name, folder)
+    if on_edge:
+        urdf, closures = folder / f"{name}.urdf", folder / f"{name}.closures.yaml"
+        stand = '<link name="ground"/><joint name="stand" type="fixed"><parent link="ground"/><child link="base"/>'
+        stand += f'<origin rpy="{np.pi / 2.0!r} 0 0"/></joint><link name="base">'
+        urdf.write_text(urdf.read_text().replace('<link name="base">', stand))
+        closures.write_text(closures.read_text().replace("{name: y, tool: y", "{name: y, tool: z"))
+    errors = closable(GeometricErrors.load(folder))
+    found = plan_measurements(errors, 9, instrument=instrument, candidates=300, machines=2)
+    own, normal = found.problem.instrument.placed[0], np.array([0.0, 1.0, 0.0] if on_edge else [0.0, 0.0, 1.0])
+    assert abs(own.axes[2] @ normal) < 1e-9
+    tips = found.poses.positions
+    heights = (tips - np.array(own.origin)) @ np.array(own.axes[2])
+    assert (np.ptp(heights) < 1e-7) == (instrument == "probe")
+    assert np.ptp(tips @ np.array(own.axes[1])) > 0.02
+    assert found.plan.identifiability.identified > 0
+    seen_by = placed_instrument(instrument, found.poses)
+    world = World.random("geometry", errors, np.random.default_rng(3))
+    seen = world.measure(found.poses.commands, np.random.default_rng(4), seen_by)
+    again = read_measurements(write_measurements(seen, errors.robot, tmp_path / "seen.csv"), errors.robot)
+    leaning = "plane1.ry" in Nuisances.from_measurements(again, ("rad",) * len(errors.robot.commands)).names
+    assert leaning == (instrument == "gauge")
+    assert np.isfinite(calibrate(again, errors, "lm", on_refusal="keep").identification.values).all()
 
 
 def test_poses_too_few_to_locate_a_plane_are_refused_for_that() -> None:

@@ -79,6 +79,34 @@ def test_moved_zeros_are_found(case: Case) -> None:
     assert found.off_if_kept == pytest.approx(np.sqrt(np.mean(squares)), rel=0.3)
 
 
+@pytest.mark.parametrize(
+    ("rows", "size", "drives"), [(8, 4e-3, slice(None)), (6, 2e-4, slice(1)), (5, 5e-5, slice(None))]
+)
+def test_zeros_alone_never_ask_for_a_calibration(case: Case, rows: int, size: float, drives: slice) -> None:
+    """Far off, where the tool does not move in proportion; of one drive; and in a few rows, which parts explain too."""
+    machine, calibration, commands, generator = case
+    moved = np.zeros(commands.shape[1])
+    moved[drives] = size * generator.choice([-1.0, 1.0], len(moved[drives])) * generator.uniform(0.7, 1.3)
+    seen = pm.Measurements.from_poses(commands[:rows], machine.measure(commands[:rows] + moved, generator))
+    found = recheck(calibration.compensation, seen)
+    assert found.verdict == "re-zero"
+    assert found.contradiction_if_zeroed > 0.005
+    assert (np.abs(found.zeros - moved) < 4.5 * found.zero_sigmas).all()
+    assert found.off_if_zeroed < 20e-6
+
+
+def test_rows_that_nothing_explains_ask_for_a_calibration(case: Case) -> None:
+    """Every pose 40 µm off in a direction of its own: neither zeros nor parts do that."""
+    machine, calibration, commands, generator = case
+    poses = machine.measure(commands, generator)
+    away = generator.standard_normal((len(poses), 3))
+    poses[:, :3, 3] += 4e-5 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    found = recheck(calibration.compensation, pm.Measurements.from_poses(commands, poses))
+    assert found.verdict == "recalibrate"
+    assert found.contradiction < 0.005
+    assert not found.is_forced or found.risk < 0.005
+
+
 def test_another_part_asks_for_a_calibration(case: Case) -> None:
     """A joint of the base moved aside by fifteen tolerances: zeros do not explain it."""
     machine, calibration, commands, generator = case

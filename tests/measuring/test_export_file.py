@@ -127,6 +127,124 @@ def test_iso_times_are_seconds(
     assert times[0] == (20540 * 24 + 23) * 3600.0
 
 
+@pytest.mark.parametrize(
+    ("heading", "factor"),
+    [
+        *(
+            (heading, 1.0)
+            for heading in ("t [s]", "T [s]", "T_s", "t/s", "time, s", "Elapsed Time [s]", "Time Stamp (sec)")
+        ),
+        *((heading, 1e-3) for heading in ("time (ms)", "t [ms]", "T ms", "t_ms")),
+        *((heading, 1e-6) for heading in ("t [µs]", "time_us")),
+        *((heading, 60.0) for heading in ("t [min]", "time (minutes)")),
+        ("Time [h]", 3600.0),
+    ],
+)
+def test_times_need_no_map(
+    heading: str, factor: float, plain: tuple[list[list[str]], Measurements], tripod_nominal: Poses, tmp_path: Path
+) -> None:
+    path, rows = tmp_path / "times.csv", [[*row, str(2 * k)] for k, row in enumerate(plain[0])]
+    cell = f'"{heading}"' if "," in heading else heading
+    path.write_text(table(f"{HEADER},{cell}", rows))
+    times = read_measurements(path, tripod_nominal.robot).times
+    assert times is not None
+    np.testing.assert_allclose(times, 2.0 * factor * np.arange(len(rows)))
+
+
+@pytest.mark.parametrize(
+    ("headings", "used"),
+    [
+        (("T [s]", "T [°C]"), 0),
+        (("T [K]", "Elapsed [s]"), 1),
+        (("t [s]", "Time [s]"), 1),
+        (("elapsed_time [ms]", "t_s"), 1),
+        (("T [°C]", "t_min [m]"), None),
+        (("t [mm]", "t"), None),
+    ],
+)
+def test_one_column_is_the_time(
+    headings: tuple[str, str],
+    used: int | None,
+    plain: tuple[list[list[str]], Measurements],
+    tripod_nominal: Poses,
+    tmp_path: Path,
+) -> None:
+    """A temperature is none, and of several the one that is named best is it."""
+    path, rows = tmp_path / "times.csv", [[*row, str(k), str(2 * k)] for k, row in enumerate(plain[0])]
+    path.write_text(table(",".join([HEADER, *headings]), rows))
+    times = read_measurements(path, tripod_nominal.robot).times
+    if used is None:
+        assert times is None
+    else:
+        assert times is not None
+        np.testing.assert_allclose(np.diff(times), 1.0 + used)
+
+
+_DIGITS = {
+    "Arabic-Indic": "٠١٢٣٤٥٦٧٨٩",
+    "full-width": "０１２３４５６７８９",
+    "Devanagari": "०१२३४५६७८९",
+    "bold": "".join(map(chr, range(0x1D7CE, 0x1D7D8))),
+}
+
+
+@pytest.mark.parametrize("script", _DIGITS)
+def test_digits_of_other_scripts_are_refused(
+    script: str, plain: tuple[list[list[str]], Measurements], tripod_nominal: Poses, tmp_path: Path
+) -> None:
+    """Python's float takes them for numbers; in one cell, in all, with decimal commas, in times and temperatures."""
+    robot, path, other = tripod_nominal.robot, tmp_path / "digits.csv", str.maketrans("0123456789", _DIGITS[script])
+    cells = plain[0]
+
+    def refused(text: str, says: str) -> None:
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(MeasurementError, match=says):
+            read_measurements(path, robot)
+
+    text = table(HEADER, cells)
+    line = text.splitlines()[3]
+    says = "line 4: u1_m is '.*', expected a number in digits 0 to 9"
+    refused(text.replace(line, line.translate(other)), says)
+    german = text.replace(",", ";").replace(".", ",")
+    line = german.splitlines()[3]
+    refused(german.replace(line, line.translate(other)), says)
+    for heading, says in (("temperature_K", "expected a number in digits"), ("t [s]", "expected a number in digits")):
+        refused(table(f"{HEADER},{heading}", [[*row, "17".translate(other)] for row in cells]), says)
+    for one, usual in (("7:05:09", "7:00:{:02d}"), ("2026-03-29T00:05:09", "2026-03-29T00:00:{:02d}")):
+        rows = [[*row, one.translate(other) if k == 4 else usual.format(k)] for k, row in enumerate(cells)]
+        refused(table(f"{HEADER},time", rows), "line 6: '.*' is not a time, expected ISO 8601")
+    path.write_text(text.translate(other).replace(HEADER.translate(other), HEADER), encoding="utf-8")
+    with pytest.raises(MeasurementError, match="expected a number in digits 0 to 9"):
+        read_plan(path, robot)
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "says"),
+    [
+        ("time", "10:61", "line 5: '10:61' is not a time"),
+        ("time", "24:00", "line 5: '24:00' is not a time"),
+        ("time", "2026-03-29", "lines 2, 5: some times have a date and others none"),
+        ("sigma_touch_m", "-1e-6", "line 5: sigma_touch_m is not positive"),
+        ("sigma_distance_mm", "-0.001", "line 5: sigma_distance_m is not positive"),
+        ("sigma_image_px", "-inf", "line 5: sigma_image_px is not positive"),
+    ],
+)
+def test_impossible_times_and_noises_are_refused(
+    column: str,
+    cell: str,
+    says: str,
+    plain: tuple[list[list[str]], Measurements],
+    tripod_nominal: Poses,
+    tmp_path: Path,
+) -> None:
+    usual = "10:00" if column == "time" else "1e-5"
+    rows = [[*row, cell if k == 3 else usual] for k, row in enumerate(plain[0])]
+    path = tmp_path / "wrong.csv"
+    path.write_text(table(f"{HEADER},{column}", rows))
+    with pytest.raises(MeasurementError, match=says):
+        read_measurements(path, tripod_nominal.robot)
+
+
 @pytest.mark.parametrize("order", ["fixed xyz", "moving zyx", "moving zyz", "rotation vector", "fixed yzx"])
 def test_angles_are_used(order: str, tripod_nominal: Poses, tmp_path: Path) -> None:
     """The matrices are products of elementary rotations; fixed axes multiply from the left."""

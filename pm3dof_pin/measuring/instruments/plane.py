@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pm3dof_pin.measuring.datum import DatumKind, axes_of_extents, constant, narrowness
+from pm3dof_pin.errors.command_correction import command_jacobians, command_scales
+from pm3dof_pin.measuring.datum import INCLINATION, DatumKind, axes_of_extents, constant, narrowness
 from pm3dof_pin.measuring.instrument import Instrument, PlacedDatum
 from pm3dof_pin.measuring.instruments.kind import InstrumentKind, Setting
 from pm3dof_pin.typing import Array
 
+_IN_A_PLANE = 1e-6  # of the greatest motion
 _THIN = 0.02  # extent over the first of points that a machine moving in a plane touches a plane across it with
 
 
@@ -40,11 +42,24 @@ PLANE = DatumKind(
 
 
 def _plane(setting: Setting, touch: tuple[float, ...] | None = None) -> PlacedDatum:
-    """Return the plane, across that of a machine which moves in one."""
+    """Return the plane, across that of a machine which moves in one: through the greatest extent of its points."""
+    across = _normal_of_motion(setting)
+    if across is None:
+        return setting.one(PLANE, np.eye(3), setting.middle, touch)
     points = setting.points(setting.targets)
-    if _THIN <= narrowness(points) < np.inf:
-        return replace(setting.one(PLANE, axes_of_extents(points)[[2, 0, 1]], setting.middle), touch=touch)
-    return setting.one(PLANE, np.eye(3), setting.middle, touch)
+    along = np.cross(np.cross(across, axes_of_extents(points)[0]), across)
+    along /= np.linalg.norm(along)
+    found = setting.one(PLANE, np.stack([across, along, np.cross(across, along)]), setting.middle)
+    return replace(found, touch=touch, idle=() if touch is None else INCLINATION)
+
+
+def _normal_of_motion(setting: Setting) -> Array | None:
+    """Return the normal of the plane in which the drives move the point at all poses, shape=(3,); None without one."""
+    poses, target = setting.poses, np.array(setting.targets[0])
+    motions, arms = command_jacobians(poses) * command_scales(poses), poses.rotations @ target
+    linear = motions[:, :3] + np.cross(motions[:, 3:], arms[:, :, None], axisa=1, axisb=1, axisc=1)
+    _, sizes, axes = np.linalg.svd(np.swapaxes(linear, 1, 2).reshape(-1, 3), full_matrices=False)
+    return np.asarray(axes[2]) if sizes[2] < _IN_A_PLANE * sizes[0] < sizes[1] else None
 
 
 def _probe(setting: Setting) -> Instrument:
