@@ -85,7 +85,7 @@ def info(
     )
     result |= _springs(machine) | _read_over(machine.description)
     result["named_configurations"] = list(machine.named_configurations)
-    reason = machine.reason_without_programs()
+    reason = machine.reason_without_programs(compiled=False)
     result |= {"engine": "program" if reason is None else "pinocchio", "engine_reason": reason}
     result["tool_motions"] = machine.tool_motions
     result["singularity_distances"] = read_singularity_distances(machine.home)

@@ -120,7 +120,7 @@ def _program(robot: Robot, model: pin.Model, rates: tuple[Rate, ...], seen: tupl
     def trace() -> Program:
         poses = samples_near_home(robot)
         verify(robot, poses)
-        doubt, tree = Doubt(), Tree(Graph(), robot, poses)
+        doubt, tree = Doubt(), Tree(Graph(), robot, poses, in_working_axes=True)
         motions, idle = recorded_motions(tree, rates, seen, doubt)
         masses = Masses(tree, model)
         matrix = masses.matrix

@@ -64,10 +64,8 @@ def at_zero_errors(errors: GeometricErrors) -> tuple[Program, Vector]:
     Raises:
         ProgramError: see :func:`evaluated`.
     """
-    _require_places(errors)
-    twists = errors.local_twists(errors.zeros)
-    program = _traced(errors.robot, errors, twists, _apart, at_zero=True)
-    return program, _parameters(errors.robot, program, twists)
+    compiled, parameters = reduced("sensitivities", errors, _apart, {})
+    return compiled.program, parameters
 
 
 def reduced(

@@ -29,17 +29,17 @@ from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.degrees_of_freedom import scaled_closures
-from pm3dof_pin.kinematics.jacobians import MotionName, jacobian, jacobian_program, motion_rates
+from pm3dof_pin.kinematics.jacobians import MotionName, bound_jacobian, jacobian, motion_rates
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity_measures import scaled_jacobians
-from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.typing import Array, Vector
 
 KINEMATICS = ("commands", "coordinates", "transform", "jacobian")
 """Quantities that every controller has, see :class:`~pm3dof_pin.export.controller.Controller`."""
 
+_KEPT = "_exported_errors"
 _AGREE = 1e-9  # relative, of a program and what Pinocchio computes
 
 _logger = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ class Described:
 
 
 def describe_quantity(robot: Robot, name: str) -> Described:
-    """Return a quantity of a robot by its name, see :func:`quantity_names`.
+    """Return a quantity of a robot by its name, see :func:`all_quantities`.
 
     Raises:
         InvalidValueError: the name is unknown, or the robot lacks what it needs.
@@ -75,9 +75,8 @@ def describe_quantity(robot: Robot, name: str) -> Described:
     return _jacobian(robot, of, by, with_derivatives=name.endswith("_derivatives"))
 
 
-def quantity_names(robot: Robot) -> Iterator[str]:
-    """Yield the names of all quantities of a robot that exist; of Jacobians, those between whole descriptions."""
-    yield from (name for name in KINEMATICS if name != "transform" or robot.tool_frame is not None)
+def all_quantities(robot: Robot) -> Iterator[tuple[str, Described]]:
+    """Yield all quantities of a robot that exist, by name; of Jacobians, those between whole descriptions."""
     tool = ("tool",) if robot.tool_frame is not None else ()
     pairs = product(("commands", "coordinates", "joints", *tool), ("coordinates", "commands"))
     jacobians = [f"{of}_by_{by}" for of, by in pairs if of != by]
@@ -92,7 +91,7 @@ def quantity_names(robot: Robot) -> Iterator[str]:
         if len(found.program.results) > np.prod(found.shape):
             exists &= values[:, -1] > 0.5
         if exists.any():
-            yield name
+            yield name, found
         else:
             _logger.info("%s has no %s: it is not a number near home", robot.name, name)
 
@@ -117,7 +116,8 @@ def _bound(
 def _jacobian(robot: Robot, of: str, by: str, *, with_derivatives: bool) -> Described:
     ends: list[MotionName] = [robot.actuated_joints if name == "drives" else name for name in (of, by)]
     rows, columns = motion_rates(robot, "of", ends[0]), motion_rates(robot, "by", ends[1])
-    program = jacobian_program(robot, rows, columns, program_source(robot).samples, with_derivatives=with_derivatives)
+    found = bound_jacobian(robot, rows, columns, with_derivatives=with_derivatives)
+    program, parameters = found.compiled.program, found.parameters
     k, m = len(rows), len(columns)
 
     def reference(poses: Poses) -> Array:
@@ -138,7 +138,6 @@ def _jacobian(robot: Robot, of: str, by: str, *, with_derivatives: bool) -> Desc
     outputs = {"values": shape, "sound": ()}
     chosen = program.of_results(outputs, [*range(first, first + size), len(program.results) - 1])
     axes = f"{of}, {by}, {by}" if with_derivatives else f"{of}, {by}"
-    parameters = geometry.values(robot, chosen.parameters)
     # second derivatives may be zero: they are rounded by as much as the first ones are
     least = np.abs(program.evaluate([robot.home.q], parameters)[0, : k * m]).max() if with_derivatives else 0.0
     return Described(text, axes, shape, chosen, parameters, reference, float(np.nan_to_num(least)))
@@ -240,7 +239,7 @@ def _vibrations(robot: Robot) -> Described:
 
     def reference(poses: Poses) -> Array:
         """Return the program's matrices, of which Pinocchio gives the eigenvalues."""
-        values = found.with_doubt(np.asarray(poses.q))[0][:, numbers]
+        values = found.compiled.program.evaluate(poses.q, found.parameters)[:, numbers]
         for q, matrix in zip(poses.q, values, strict=True):
             frequencies = natural_modes(model, q).frequencies
             wanted = np.zeros(size)
@@ -267,7 +266,7 @@ def _constraint_jacobian(robot: Robot) -> Described:
 
     def reference(poses: Poses) -> Array:
         """Return the program's matrices, of which Pinocchio gives the singular values."""
-        values = program.split(found(np.asarray(poses.q)))["closures"]
+        values = program.split(program.evaluate(poses.q, found.parameters))["closures"]
         for q, matrix in zip(poses.q, values, strict=True):
             own, wanted = (
                 np.linalg.svd(each, compute_uv=False) for each in (matrix, scaled_closures(robot.configuration(q)))
@@ -284,18 +283,21 @@ def _constraint_jacobian(robot: Robot) -> Described:
     return Described(text, "constraints, velocities", shape, only, found.parameters, reference)
 
 
-def _errors(robot: Robot) -> GeometricErrors:
-    """Return the errors of the robot's error file, or else all, that leave its loops closable."""
+def _error_sources(robot: Robot) -> ErrorSources:
+    """Return the errors of the robot's error file, or else all, that leave its loops closable; kept for the robot."""
     robot.frame_name()
-    file = None if robot.files is None else robot.files.errors
-    declared = GeometricErrors(robot) if file is None or not file.is_file() else GeometricErrors.from_file(robot, file)
-    return closable(declared, robot.at([robot.home.q]))
+    if _KEPT not in vars(robot):
+        file = None if robot.files is None else robot.files.errors
+        given = GeometricErrors.from_file(robot, file) if file is not None and file.is_file() else None
+        declared = GeometricErrors(robot) if given is None else given
+        vars(robot)[_KEPT] = ErrorSources(closable(declared, robot.at([robot.home.q])))
+    found: ErrorSources = vars(robot)[_KEPT]
+    return found
 
 
 def _geometric_error(name: KinematicSum, text: str) -> Callable[[Robot], Described]:
     def described(robot: Robot) -> Described:
-        errors = _errors(robot)
-        sources, largest = ErrorSources(errors), float(errors.tolerances.max(initial=0.0))
+        sources = _error_sources(robot)
         found = kinematic_sum_program(sources, name)
         return _bound(
             found,
@@ -303,14 +305,14 @@ def _geometric_error(name: KinematicSum, text: str) -> Callable[[Robot], Describ
             "",
             (),
             lambda poses: kinematic_sum(sources, poses, name, engine="pinocchio").values,
-            least_scale=largest,
+            least_scale=float(sources.errors.tolerances.max(initial=0.0)),
         )
 
     return described
 
 
 def _error_sensitivities(robot: Robot) -> Described:
-    errors = _errors(robot)
+    errors = _error_sources(robot).errors
     program, parameters = at_zero_errors(errors)
     count = len(errors)
     places = [*range(6 * count), program.slices["sound"].start]

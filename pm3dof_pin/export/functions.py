@@ -22,7 +22,7 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
-from pm3dof_pin.export.function_quantities import KINEMATICS, Described, describe_quantity, quantity_names
+from pm3dof_pin.export.function_quantities import KINEMATICS, Described, all_quantities, describe_quantity
 from pm3dof_pin.export.template import docstring
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.jacobians import jacobian
@@ -74,15 +74,20 @@ def export_functions(robot: Robot, of: Sequence[str], to: Target, folder: Path |
         OutputError: a file cannot be written.
     """
     require_choice("to", to, Target)
-    names = list(dict.fromkeys(quantity_names(robot) if list(of) == ["all"] else of))
+    described: dict[str, Described] = {}
+    names = list(dict.fromkeys(of))
+    controller = Controller(robot) if names == ["all"] else None  # what has none is refused before long work
+    if names == ["all"]:
+        described = dict(all_quantities(robot))
+        names = [*(name for name in KINEMATICS if name != "transform" or robot.tool_frame is not None), *described]
     if not names:
         raise InvalidValueError("of", "none", "at least one quantity")
     if robot.tool_frame is None and "transform" in names:
         raise InvalidValueError(robot.name, problem="has no tool frame", expected="one for transform")
-    described = {name: describe_quantity(robot, name) for name in names if name not in KINEMATICS}
+    described |= {name: describe_quantity(robot, name) for name in names if name not in (*KINEMATICS, *described)}
     if invalid := [name for name in described if not name.isidentifier()]:
         raise InvalidValueError("of", invalid[0], "a quantity that can be the name of a function")
-    controller = Controller(robot)
+    controller = controller or Controller(robot)
     if to == "c":
         files = c_files(controller)
         if described:

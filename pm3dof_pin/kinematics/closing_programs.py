@@ -8,22 +8,24 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import pinocchio as pin
 
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.programs import geometry
-from pm3dof_pin.programs.cache import compiled, known, stored
+from pm3dof_pin.programs.cache import compiled, known, require_short, stored
 from pm3dof_pin.programs.checks import checks_program
 from pm3dof_pin.programs.closing import Task, closing_program, damped_closing_program
-from pm3dof_pin.programs.llvm import Compiled, Walked
 from pm3dof_pin.programs.masses import mass_content, mass_numbers, mass_pattern
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.programs.walk import Walk, branch_program, control_program, side_program, start_program
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
+
+if TYPE_CHECKING:
+    from pm3dof_pin.programs.llvm import Compiled, Walked
 
 _KEPT, _KEPT_QUANTITIES = "_program_source", "_quantity_programs"
 _MAX_KEPT = 100  # programs of a robot, with its payloads
@@ -133,7 +135,7 @@ class ProgramSource:
         own, samples = self._robot, self.samples
 
         def trace(dense: bool) -> Walk:
-            step = self._stored(f"step {task}", dense, lambda: closing_program(own, task, samples, dense=dense))
+            step = self._recorded_step(task, dense)
             start = self._stored(f"start {task}", dense, lambda: start_program(own, task, samples, dense=dense))
             control = self._stored(
                 f"control {task}", dense, lambda: control_program(own, start, task, samples, dense=dense)
@@ -141,6 +143,16 @@ class ProgramSource:
             return Walk.from_programs(step, start, control)
 
         return self._bound(robot, f"walk {task}", trace)
+
+    def require_walk(self, robot: PlacedMechanism, task: Task) -> None:
+        """Raise what :meth:`walk` and :meth:`checks` do, except where LLVM fails: nothing is compiled."""
+        dense = self._geometry_of(robot)[1]
+        for program in (self._recorded_step(task, dense), self._recorded_checks(dense)):
+            require_short(program)
+
+    def _recorded_step(self, task: Task, dense: bool) -> Program:
+        own, samples = self._robot, self.samples
+        return self._stored(f"step {task}", dense, lambda: closing_program(own, task, samples, dense=dense))
 
     def sides(self, robot: PlacedMechanism, task: Task) -> BoundProgram | None:
         """Return the program that tells sides of singular configurations apart, None if a walk's modes do.
@@ -181,13 +193,11 @@ class ProgramSource:
 
         Arguments and errors as in :meth:`walk`.
         """
+        return self._bound(robot, "checks", self._recorded_checks)
+
+    def _recorded_checks(self, dense: bool) -> Program:
         own, samples, task = self._robot, self.samples, Task.from_coordinates(self._robot.coordinates)
-        name = f"checks {task}"
-        return self._bound(
-            robot,
-            name,
-            lambda dense: self._stored(name, dense, lambda: checks_program(own, samples, task, dense=dense)),
-        )
+        return self._stored(f"checks {task}", dense, lambda: checks_program(own, samples, task, dense=dense))
 
     def _stored(self, name: str, dense: bool, trace: Callable[[], Program]) -> Program:
         """Return a program from the cache, or trace it after a comparison with Pinocchio."""

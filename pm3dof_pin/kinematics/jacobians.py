@@ -21,7 +21,7 @@ from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError, first_words
 from pm3dof_pin.kinematics.branches import samples_near_home
-from pm3dof_pin.kinematics.closing_programs import quantity_program
+from pm3dof_pin.kinematics.closing_programs import BoundProgram, quantity_program
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
@@ -44,6 +44,7 @@ MotionName: TypeAlias = Literal["coordinates", "commands", "joints", "tool"] | s
 """A description of motion: "coordinates", "commands", "joints" (all single-DoF ones), "tool" (its twist), the name of a
 frame (its twist), or names of joints, coordinates and commands."""
 
+_MANY = 100  # joints, from which recording takes a second and a second way seldom saves operations
 _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 _logger = logging.getLogger(__name__)
@@ -320,6 +321,11 @@ def _evaluated(
     robot: Robot, of: Sequence[Rate], by: Sequence[Rate], q: Matrix, threads: int | None, *, with_derivatives: bool
 ) -> tuple[Array, Mask]:
     """Evaluate the compiled Jacobian at q, flat; and where nothing is in doubt, shape=(n,)."""
+    return bound_jacobian(robot, of, by, with_derivatives=with_derivatives).with_doubt(q, threads)
+
+
+def bound_jacobian(robot: Robot, of: Sequence[Rate], by: Sequence[Rate], *, with_derivatives: bool) -> BoundProgram:
+    """Return the program of a Jacobian at q, kept for the robot; outputs and errors as :func:`jacobian_program`."""
 
     def trace() -> Program:
         poses = samples_near_home(robot)
@@ -327,7 +333,7 @@ def _evaluated(
         return jacobian_program(robot, of, by, poses, with_derivatives=with_derivatives)
 
     own = ("jacobian", of, by, with_derivatives)
-    return quantity_program(robot, own, trace, frames=_frames(robot, of, by)).with_doubt(q, threads)
+    return quantity_program(robot, own, trace, frames=_frames(robot, of, by))
 
 
 def _frames(robot: Robot, *rates: Sequence[Rate]) -> tuple[str, ...]:
@@ -351,7 +357,8 @@ def jacobian_program(
     Raises:
         ProgramError: the motions of `by` do not determine those of `of` at the sample poses.
     """
-    doubt, tree = Doubt(), Tree(Graph(), robot, poses, _frames(robot, of, by), dense=dense)
+    doubt = Doubt()
+    tree = Tree(Graph(), robot, poses, _frames(robot, of, by), dense=dense, in_working_axes=True)
     velocities, _ = recorded_motions(tree, by, of, doubt)
     values = product(_rows(tree, of), velocities)
     flat = values.ravel()
@@ -366,14 +373,29 @@ def recorded_motions(tree: Tree, by: Sequence[Rate], of: Sequence[Rate], doubt: 
     """Record the joint velocities at unit rate of each of `by`, shape=(nv, m) [SI units], and the idle motions.
 
     Idle motions, shape=(nv, i), are those that neither sees, such as a rod's spin about its own axis. Redundant rates
-    that disagree are met by least squares.
+    that disagree are met by least squares. Of equally sparse joints the last follow first, or the first if the rates of
+    `of` then take fewer operations.
 
     Raises:
         ProgramError: rates of `of` can change while those of `by` are at rest, at the sample poses.
     """
+    joints = range(tree.mechanism.model.nv)
+    ways = [(Doubt(), order) for order in (joints, joints[::-1])[: 2 if len(joints) < _MANY else 1]]
+    found = [(*_motions_by(tree, by, of, order, own), own) for own, order in ways]
+    wanted = _rows(tree, of)
+    motions, idle, own = min(found, key=lambda way: tree.graph.operations(*product(wanted, way[0]).ravel()))
+    doubt.note_pivot(own.pivot)
+    doubt.drop([own.dropped])
+    return motions, idle
+
+
+def _motions_by(
+    tree: Tree, by: Sequence[Rate], of: Sequence[Rate], order: Sequence[int], doubt: Doubt
+) -> tuple[Objects, Objects]:
+    """Record what :func:`recorded_motions` does, with joints in an order, see :func:`all_motions`."""
     robot = tree.mechanism
     unit, slides = robot.length_unit, tree.slides
-    basis = all_motions(tree, range(robot.model.nv), unit, doubt)
+    basis = all_motions(tree, order, unit, doubt)
     basis[slides] = basis[slides] * unit
     factors = [
         np.array([[1.0 / ((unit if rate.unit == "m/s" else 1.0) * abs(rate.scale))] for rate in rates])
@@ -416,7 +438,7 @@ def _rows(tree: Tree, rates: Sequence[Rate]) -> Objects:
 
 def _angle_row(tree: Tree, frame: str, index: int) -> Objects:
     """Record the rate of rx, ry or rz by the angular velocity, see :func:`angle_rates`, shape=(3,)."""
-    r = tree.frame(frame).rotation
+    r = tree.in_world(tree.frame(frame)).rotation
     cy: Scalar = sqrt(r[0, 0] * r[0, 0] + r[0, 1] * r[0, 1])
     cx, sx, sy = r[2, 2] / cy, -r[1, 2] / cy, r[0, 2]
     match index:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,9 +77,10 @@ def generic_configuration(configuration: Configuration, *, seed: int = 0) -> Con
     Raises:
         ConvergenceError: no closed configuration was found nearby.
     """
-    mechanism, generator, distance = configuration.mechanism, np.random.default_rng(seed), _DISTANCE
+    mechanism, generator, distance = configuration.mechanism, random.Random(seed), _DISTANCE
     for _ in range(_NEIGHBOUR_TRIALS):
-        motion = mechanism.velocity_scale * generator.uniform(-distance, distance, mechanism.model.nv)
+        steps = [generator.uniform(-distance, distance) for _ in range(mechanism.model.nv)]
+        motion = mechanism.velocity_scale * steps
         result = assemble(mechanism, pin.integrate(mechanism.model, configuration.q, motion))
         if result.converged:
             return result.configuration

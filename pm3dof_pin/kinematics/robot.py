@@ -525,8 +525,20 @@ class Robot(PlacedMechanism):
         )
         return UnreachablePoseError(f"{self.name}: the commands contradict each other{which}: {reason}", None, reason)
 
-    def reason_without_programs(self) -> str | None:
-        """Return why poses are solved by Pinocchio, one by one; None if they are solved by programs."""
+    def reason_without_programs(self, *, compiled: bool = True) -> str | None:
+        """Return why poses are solved by Pinocchio, one by one; None if they are solved by programs.
+
+        Unless these must be `compiled`, usual ones are only recorded, as LLVM takes a tenth of a second to load.
+        """
+        if not compiled and self.model.nq and self._closes_fully and not self.has_null_motions(self.coordinates):
+            from pm3dof_pin.kinematics.closing_programs import program_source
+            from pm3dof_pin.programs.closing import Task
+
+            try:
+                program_source(self).require_walk(self, Task.from_coordinates(self.coordinates))
+            except ProgramError as error:
+                return str(error)
+            return None
         solver = self._solver(self.coordinates)
         return solver if isinstance(solver, str) else None
 
@@ -551,10 +563,14 @@ class Robot(PlacedMechanism):
                 self._solvers[coordinates] = str(error)
         return self._solvers[coordinates]
 
+    @property
+    def _closes_fully(self) -> bool:
+        first = self.prototype if self.is_variant_of(self.prototype) else self  # whose loops close as fully
+        return first.home.closure_residual <= self.rounding_of_closures
+
     def _require_close_by(self, coordinates: tuple[Coordinate, ...], solver: Continuation) -> None:
         """Raise ProgramError if programs of loops that do not close fully lose them near home."""
-        first = self.prototype if self.is_variant_of(self.prototype) else self  # whose loops close as fully
-        if first.home.closure_residual <= self.rounding_of_closures:
+        if self._closes_fully:
             return
         sizes = [self.characteristic_length if coordinate.unit == "m" else 1.0 for coordinate in coordinates]
         steps = _CLOSE_BY * np.diag(sizes)

@@ -71,14 +71,17 @@ def constant(rows: Array) -> Callable[[Array], Array]:
 
 def axes_of_extents(points: Array) -> Array:
     """Return axes of a cloud of points as rows, the last one being that of its least extent, shape=(3, 3)."""
-    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)[2]
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=len(points) < points.shape[1])[2]
     axes[2] = np.cross(axes[0], axes[1])
     return np.asarray(axes)
 
 
-def narrowness(points: Array) -> float:
-    """Return the second extent over the first of points in a plane, 0 for points on a line; infinity if in space."""
-    sizes = np.abs((points - points.mean(axis=0)) @ axes_of_extents(points).T).max(axis=0)
+def narrowness(points: Array, axes: Array) -> float:
+    """Return the second extent over the first of points in a plane, 0 for points on a line; infinity if in space.
+
+    The axes are those of :func:`axes_of_extents`.
+    """
+    sizes = np.abs((points - points.mean(axis=0)) @ axes.T).max(axis=0)
     if sizes[2] > _IN_A_PLANE * sizes[0]:
         return np.inf
     return float(sizes[1] / sizes[0]) if sizes[1] > _IN_A_PLANE * sizes[0] else 0.0
@@ -153,7 +156,7 @@ class Datum:
         if not (self.kind.round or self.kind.even) or len(points) < len(self.axes):
             return self
         middle, axes = points.mean(axis=0), axes_of_extents(points)
-        if narrowness(points) in (0.0, np.inf):
+        if narrowness(points, axes) in (0.0, np.inf):
             return self
         if self.kind.even:
             return self._upright_on(axes, points - middle, middle, values[:, 0])

@@ -7,26 +7,27 @@ loaded from it. Damaged entries are rebuilt; if the folder is not writable, ever
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import logging
 import os
 import stat
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
-
-import llvmlite
-from llvmlite import binding
+from typing import TYPE_CHECKING
 
 import pm3dof_pin
 from pm3dof_pin.exceptions import InvalidValueError, OutputError, ProgramError
 from pm3dof_pin.files import write_atomically
-from pm3dof_pin.programs import llvm
 from pm3dof_pin.programs.making import making
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.walk import Walk
+
+if TYPE_CHECKING:
+    from pm3dof_pin.programs import llvm  # where it runs, LLVM is loaded by what compiles: a tenth of a short command
 
 LARGEST = 200 * 2**20
 """Size limit in bytes, exceeded by up to a twentieth before the least recently used entries are removed."""
@@ -45,16 +46,16 @@ _known: dict[str, llvm.Compiled | ProgramError] = {}
 
 
 def known(key: str, make: Callable[[], Program]) -> llvm.Compiled:
-    """Return the compiled program of a :func:`stored` key: from memory, from disk, or made now.
+    """Return the program of a :func:`stored` key: from memory, from disk, or made now, and compiled once it is run.
 
     Failures are cached too.
 
     Raises:
-        ProgramError: `make` raises it, or LLVM does not compile the program.
+        ProgramError: `make` raises it, or the program is too long.
     """
     if key not in _known:
         try:
-            _known[key] = compiled(stored(key, make))
+            _known[key] = compiled(stored(key, make), when_run=True)
         except ProgramError as error:
             _known[key] = error
     found = _known[key]
@@ -72,23 +73,35 @@ def stored(key: str, make: Callable[[], Program]) -> Program:
             return Program.from_bytes(content)
         except InvalidValueError:
             _LOG.info("cache entry %s is not a program; rebuilt", name)
-    with making("recording a program"):
+    with making("recording a program"), _without_collection():
         program = make()
     _keep(name, program.content)
     return program
 
 
-def compiled(program: Program | Walk) -> llvm.Compiled:
-    """Return the program as machine code, cached or compiled now.
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Keep Python from looking for garbage among the numbers being recorded, a third of the time of a long program."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def compiled(program: Program | Walk, *, when_run: bool = False) -> llvm.Compiled:
+    """Return the program as machine code, cached or compiled now; or else compiled `when_run`.
 
     It is first compiled quickly, and with full optimisation once it has run for enough poses.
 
     Raises:
         ProgramError: it has more than :data:`MOST_OPERATIONS`, or LLVM does not compile it.
     """
-    own = _step(program)
-    if (count := len(own.codes)) > MOST_OPERATIONS:
-        raise ProgramError(f"program '{own.name}' has {count:,} operations, more than the {MOST_OPERATIONS:,} compiled")
+    from pm3dof_pin.programs import llvm
+
+    require_short(_step(program))
     with_care = partial(_code, program, optimized=True)
     for optimized in (True, False):
         name = _code_name(program, optimized=optimized)
@@ -98,7 +111,15 @@ def compiled(program: Program | Walk) -> llvm.Compiled:
                 return llvm.Compiled(program, code, faster=None if optimized else with_care)
             except ProgramError:
                 _LOG.info("cache entry %s cannot be loaded; recompiled", name)
-    return llvm.Compiled(program, _made(program, optimized=False), faster=with_care)
+    quickly = partial(_made, program, optimized=False)
+    return llvm.Compiled(program, quickly if when_run else quickly(), faster=with_care)
+
+
+def require_short(program: Program) -> None:
+    """Raise ProgramError for a program of more than :data:`MOST_OPERATIONS`."""
+    if (count := len(program.codes)) > MOST_OPERATIONS:
+        name = program.name
+        raise ProgramError(f"program '{name}' has {count:,} operations, more than the {MOST_OPERATIONS:,} compiled")
 
 
 def _step(program: Program | Walk) -> Program:
@@ -110,6 +131,8 @@ def _code(program: Program | Walk, *, optimized: bool) -> bytes:
 
 
 def _made(program: Program | Walk, *, optimized: bool) -> bytes:
+    from pm3dof_pin.programs import llvm
+
     with making(f"compiling {len(_step(program).codes):,} operations"):
         code = llvm.object_code(program, llvm.target().lanes, optimized)
     _keep(_code_name(program, optimized=optimized), code)
@@ -117,9 +140,10 @@ def _made(program: Program | Walk, *, optimized: bool) -> bytes:
 
 
 def _code_name(program: Program | Walk, *, optimized: bool) -> str:
-    versions = llvmlite.__version__, ".".join(map(str, binding.llvm_version_info))
+    from pm3dof_pin.programs import llvm
+
     processor = llvm.target()
-    key = program.key, *versions, processor.name, processor.features, str(processor.lanes), str(optimized)
+    key = program.key, *llvm.versions(), processor.name, processor.features, str(processor.lanes), str(optimized)
     return _name("compiled", *key)
 
 

@@ -102,9 +102,9 @@ class Graph:
             results=tuple([place[number] for number in flat]),
         )
 
-    def operations(self, number: Scalar) -> int:
-        """Return how many operations a number takes."""
-        found: set[_Value] = {self._number(number)}
+    def operations(self, *numbers: Scalar) -> int:
+        """Return how many operations numbers take together."""
+        found: set[_Value] = {self._number(number) for number in numbers}
         waiting: list[_Value] = list(found)
         count = 0
         while waiting:
@@ -153,6 +153,11 @@ def _by_first_use(order: Sequence[_Value], results: Sequence[_Value]) -> list[_V
     """
     waiting: dict[_Value, int] = {}
     for value in order:
+        if len(value.operands) == 2:  # nearly all
+            first, second = value.operands
+            a, b = waiting[first], waiting[second]
+            waiting[value] = a + 1 if a == b else max(a, b)
+            continue
         counts = sorted([waiting[operand] for operand in value.operands], reverse=True)
         waiting[value] = max([1, *[count + k for k, count in enumerate(counts)]]) if counts else 0
     lines: dict[_Value, None] = {}
@@ -166,7 +171,11 @@ def _by_first_use(order: Sequence[_Value], results: Sequence[_Value]) -> list[_V
                 lines[value] = None  # repeated for shared values: the first time counts
         else:
             opened.add(value)
-            stack.extend(sorted(value.operands, key=waiting.__getitem__))
+            if len(value.operands) == 2:
+                first, second = value.operands
+                stack += (second, first) if waiting[second] < waiting[first] else (first, second)
+            else:
+                stack.extend(sorted(value.operands, key=waiting.__getitem__))
     return list(lines)
 
 

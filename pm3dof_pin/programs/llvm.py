@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any, NamedTuple
 
+import llvmlite
 import numpy as np
 from llvmlite import binding
 from numpy.typing import ArrayLike
@@ -70,6 +71,11 @@ def target() -> Target:
         raise ProgramError(f"LLVM cannot compile for this processor: {error}") from error
 
 
+def versions() -> tuple[str, str]:
+    """Return the versions of llvmlite and of LLVM, on which machine code depends."""
+    return llvmlite.__version__, ".".join(map(str, binding.llvm_version_info))
+
+
 def compile(program: Program | Walk, lanes: int | None = None, optimized: bool = True) -> Compiled:
     """Compile for `lanes` poses at once, a power of two, by default the target's; ProgramError on failure."""
     return Compiled(program, object_code(program, lanes or target().lanes, optimized))
@@ -115,23 +121,28 @@ class Compiled:
     Results do not depend on how poses are grouped into calls, on their order, or on the number of threads.
     """
 
-    def __init__(self, program: Program | Walk, code: bytes, faster: Callable[[], bytes] | None = None) -> None:
-        """Load object code of the program.
+    def __init__(
+        self, program: Program | Walk, code: bytes | Callable[[], bytes], faster: Callable[[], bytes] | None = None
+    ) -> None:
+        """Load object code of the program, or take what makes it when the program is first run.
 
         Args:
             program: the program; or a walk, whose step is then the program.
-            code: its object code; LLVM crashes on incomplete code.
+            code: its object code, or what makes it; LLVM crashes on incomplete code.
             faster: makes code that replaces it once that is worth its compilation, if `code` was compiled quickly.
 
         Raises:
-            ProgramError: it cannot be loaded.
+            ProgramError: it cannot be loaded. If it is made later, the first run raises this instead.
         """
         self.walk_program = program if isinstance(program, Walk) else None
         self.program = program.step if isinstance(program, Walk) else program
         self._faster = faster
         self._seconds = 0.0  # of running
         self._engines: list[Any] = []  # the first one is kept, since another thread may be running it
-        self._load(code)
+        self._functions: dict[str, Callable[..., None]] = {}
+        self._make = code if callable(code) else lambda: code
+        if not callable(code):
+            self._load(code)
 
     def _load(self, code: bytes) -> None:
         program = self.program
@@ -152,8 +163,8 @@ class Compiled:
             if self.walk_program is not None:
                 functions["start"] = self._function("start", *common)
                 functions["walk"] = self._function("walk", *steps)
-            self._functions = functions
             self._workspace_size = int(self._function("workspace_size", result=size)())
+            self._functions = functions
         except (RuntimeError, OSError) as error:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
 
@@ -344,6 +355,8 @@ class Compiled:
         if shared.shape != (len(self.program.parameters),):
             expected = f"({len(self.program.parameters)},)"
             raise ShapeError("parameters", shared.shape, expected)
+        if not self._functions:
+            self._load(self._make())
         n = len(rows)
         ahead = n * length * len(self.program) * _SECONDS_EACH
         patience = min(max(1.0, (len(self.program) / _SHORT) ** 2), 6.0)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,12 @@ def info(*arguments: str | Path) -> dict[str, Any]:
 
 def lines(*arguments: str | Path) -> str:
     return CliRunner().invoke(app, ["info", *map(str, arguments)], catch_exceptions=False).stdout
+
+
+def test_llvm_is_not_loaded_to_say_which_engine_there_is() -> None:
+    run = "app(['info', 'hexapod'], standalone_mode=False)"
+    code = f"import sys; from pm3dof_pin.cli.app import app; {run}; sys.exit('llvmlite' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, timeout=120).returncode == 0
 
 
 def links(*names: str, mass: float = 0.1) -> str:

@@ -18,9 +18,12 @@ import pm3dof_pin as pm
 from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
+from pm3dof_pin.export import function_quantities, functions
 from pm3dof_pin.export.function_quantities import KINEMATICS, QUANTITIES
 from pm3dof_pin.export.functions import export_functions
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.programs import cache, llvm
+from pm3dof_pin.programs.walk import Walk
 
 MACHINES = Path(__file__).parents[1] / "machines"
 Exported = Callable[..., ModuleType]
@@ -161,6 +164,25 @@ def test_every_quantity(name: str, to: str, exported: Exported) -> None:
     if robot.springs:
         expected |= {"compliance", "axis_compliance", "principal_stiffness", "compliance_by_spring"}
     assert expected <= set(differences)
+
+
+def test_quantities_are_described_once_and_not_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    described, compiled = list[str](), list[Any]()
+    describe, code = function_quantities.describe_quantity, llvm.object_code
+
+    def noted(robot: pm.Robot, name: str) -> function_quantities.Described:
+        described.append(name)
+        return describe(robot, name)
+
+    monkeypatch.setenv("PM3DOF_CACHE_DIR", "")
+    monkeypatch.setattr(cache, "_known", {})
+    monkeypatch.setattr(function_quantities, "describe_quantity", noted)
+    monkeypatch.setattr(functions, "describe_quantity", noted)
+    monkeypatch.setattr(llvm, "object_code", lambda program, *rest: compiled.append(program) or code(program, *rest))
+    export_functions(loaded("five_bar"), ["all"], "numpy", tmp_path)
+    assert set(QUANTITIES) <= set(described)
+    assert len(described) == len(set(described))
+    assert {each.name for each in compiled if not isinstance(each, Walk)} <= {"checks"}
 
 
 def test_every_quantity_with_jax(exported: Exported) -> None:

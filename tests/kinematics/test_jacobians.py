@@ -10,7 +10,9 @@ import pytest
 
 import pm3dof_pin as pm
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.kinematics.jacobians import jacobian
+from pm3dof_pin.kinematics import jacobians
+from pm3dof_pin.kinematics.branches import samples_near_home
+from pm3dof_pin.kinematics.jacobians import jacobian, jacobian_program, motion_rates
 from pm3dof_pin.kinematics.robot import Robot
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
@@ -125,6 +127,16 @@ def test_counters_in_micrometres_determine_the_pose() -> None:
         there = pm.jacobian(robot, poses, of="commands", by="coordinates", engine=engine).values
         back = pm.jacobian(robot, poses, of="coordinates", by="commands", engine=engine).values
         np.testing.assert_allclose(there @ back, np.broadcast_to(np.eye(3), there.shape), atol=1e-8)
+
+
+def test_joints_follow_in_the_order_that_takes_fewer_operations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Legs of a hexapod, which come after its platform in the tree, follow it in fewer operations from the first on."""
+    robot = pm.load("hexapod")
+    ends = motion_rates(robot, "of", "commands"), motion_rates(robot, "by", "coordinates")
+    of_two = jacobian_program(robot, *ends, samples_near_home(robot), with_derivatives=True)
+    monkeypatch.setattr(jacobians, "_MANY", 0)
+    of_one = jacobian_program(robot, *ends, samples_near_home(robot), with_derivatives=True)
+    assert len(of_two) < 0.7 * len(of_one)
 
 
 def test_no_pose_of_many_legs_is_less_accurate(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.measuring.datum import Datum
+from pm3dof_pin.measuring.datum import Datum, axes_of_extents, narrowness
 from pm3dof_pin.measuring.instruments.table import datum_kinds
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
@@ -24,6 +25,20 @@ LENGTHS = tuple(f"strut{k}_tip.tz" for k in range(1, 7))
 CAMERA = Rotation.from_euler("xyz", [2.9, 0.2, 0.4]).as_matrix()
 CAMERA_PLACE = np.array([0.05, -0.08, 0.9])
 FOCAL, CENTRE = 4000.0, 1024.0
+
+
+def test_axes_of_many_points_take_memory_in_proportion_to_them() -> None:
+    """Extents of 0.5, 0.2 and 0 along turned axes; all left singular vectors would take 8 n^2 bytes."""
+    turn = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
+    across, along = np.meshgrid(np.linspace(-0.2, 0.2, 41), np.linspace(-0.5, 0.5, 101))
+    points = np.stack([along.ravel(), across.ravel(), np.zeros(across.size)], axis=1) @ turn.T
+    tracemalloc.start()
+    axes = axes_of_extents(points)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 * points.nbytes
+    np.testing.assert_allclose(np.abs(np.einsum("ij,ji->i", axes, turn)), 1.0, atol=1e-12)
+    assert narrowness(points, axes) == pytest.approx(0.4)
 
 
 @pytest.fixture(scope="module")

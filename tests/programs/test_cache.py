@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import stat
 import subprocess
@@ -50,6 +51,37 @@ def test_a_program_is_compiled_once(folder, compilations):
     assert len(compilations) == 2
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert len(list(folder.iterdir())) == 2
+
+
+def test_what_is_only_read_is_not_compiled(folder, compilations):
+    program = cache.known("a root", make)
+    assert program.program.evaluate([[9.0]])[0, 0] == 6.0
+    assert not compilations
+    assert program([[9.0], [4.0]]).tolist() == [[6.0], [4.0]]
+    assert len(compilations) == 1
+
+
+def test_code_that_is_made_late_says_so_if_it_cannot_be_made(folder, monkeypatch):
+    def failing(program, lanes, careful):
+        raise ProgramError("no memory left")
+
+    monkeypatch.setattr(llvm, "object_code", failing)
+    program = cache.known("another root", make)
+    with pytest.raises(ProgramError, match="no memory left"):
+        program([[9.0]])
+
+
+def test_no_garbage_is_looked_for_while_a_program_is_recorded(folder):
+    looked = []
+
+    def recording():
+        looked.append(gc.isenabled())
+        return make()
+
+    cache.stored("a recording", recording)
+    with pytest.raises(ZeroDivisionError):
+        cache.stored("a failure", lambda: 1 // 0)
+    assert [*looked, gc.isenabled()] == [False, True]
 
 
 def test_long_programs_are_refused_before_they_are_compiled(folder, compilations, monkeypatch):

@@ -18,7 +18,7 @@ _THIN = 0.02  # extent over the first of points that a machine moving in a plane
 
 def _start(points: Array, values: Array) -> list[tuple[Array, Array]]:
     axes, centre = axes_of_extents(points), points.mean(axis=0)
-    if not np.ptp(values) and 0.0 < narrowness(points) < _THIN:
+    if not np.ptp(values) and 0.0 < narrowness(points, axes) < _THIN:
         return [(axes[[2, 0, 1]], centre - values.mean() * axes[1])]
     upward = axes if axes[2] @ np.ones(3) >= 0.0 else np.array([axes[0], -axes[1], -axes[2]])
     starts = [upward, np.eye(3)] if not np.ptp(values) else [upward, upward * [[1.0], [-1.0], [-1.0]], np.eye(3)]
