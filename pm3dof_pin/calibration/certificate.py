@@ -14,6 +14,7 @@ is otherwise undecided. It is exceeded by one pose in twenty, and these count in
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from pm3dof_pin.calibration.acceptance import AcceptanceResult
 from pm3dof_pin.calibration.folder import checksum_of, read_summary
 from pm3dof_pin.csv_table import plain_number
 from pm3dof_pin.description.yaml_file import read_mapping
-from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.figures.html_page import html_page, html_table
 
 DecisionRule = Literal["simple", "guarded"]
@@ -41,6 +42,7 @@ _ITEM = {
     "properties": dict.fromkeys(_ITEM_KEYS, _TEXT),
 }
 _NUMBER_OR_NONE = {"type": ["number", "null"]}
+_DATE = "^\\d{4}-\\d{2}-\\d{2}$"
 SCHEMA: dict[str, Any] = {
     "$schema": "https://json-schema.org/draft/2020-12/schema",
     "title": "Calibration report of pm3dof_pin",
@@ -52,7 +54,7 @@ SCHEMA: dict[str, Any] = {
     "additionalProperties": False,
     "properties": {
         "robot": _TEXT,
-        "date": {"type": "string", "pattern": "^\\d{4}-\\d{2}-\\d{2}$"},
+        "date": {"type": "string", "pattern": _DATE},
         "machine": _ITEM,
         "instrument": _ITEM,
         "temperature_C": {
@@ -79,7 +81,7 @@ SCHEMA: dict[str, Any] = {
                     "symbol": _TEXT,
                     "value_m": {"type": "number"},
                     "expanded_uncertainty_k2_m": _NUMBER_OR_NONE
-                    | {"description": "null if it is not stated, or included in the value of a bound"},
+                    | {"minimum": 0, "description": "null if it is not stated, or included in the value of a bound"},
                     "limit_m": _NUMBER_OR_NONE,
                     "decision": {"enum": ["conforms", "does not conform", "undecided", "no limit"]},
                     "source": _TEXT,
@@ -91,12 +93,13 @@ SCHEMA: dict[str, Any] = {
 }
 """JSON Schema of :attr:`Certificate.data`."""
 
-_DAY, _ABSOLUTE_ZERO = re.compile(r"\d{4}-\d\d-\d\d", re.ASCII), -273.15
+_DAY = re.compile(r"\d{4}-\d\d-\d\d", re.ASCII)
 _REQUIRED = ("date", "machine", "instrument", "temperature_C", "procedure", "signed_by")
 _OPTIONAL = ("place", "limits_m", "decision_rule")
 _BOUND = "bound of the tip error, corrected, at 95 % of the poses of the workspace, each with 95 % probability"
 _BOUND_SYMBOL = "tip.bound_95"
 _RMS = "tip error over the workspace, corrected, root mean square"
+_ABSOLUTE_ZERO = -273.15  # [deg C]
 _PACKAGES = ("pm3dof_pin", "pin", "numpy", "scipy")
 
 
@@ -114,9 +117,11 @@ class Certificate:
             calibration: the folder of the calibration.
             about: YAML file: date, machine, instrument, temperature_C, procedure, signed_by; optional are place,
                 decision_rule (guarded), and limits_m by symbol.
-            tests: results of acceptance tests.
+            tests: results of acceptance tests. Several of one kind need labels, which are then part of the symbols, as
+                in `positioning.x.A` of a file x.json.
 
         Raises:
+            InvalidValueError: several tests of one kind have the same label, or none.
             DescriptionError: a file is unreadable, an entry is missing or of another kind, or the folder was changed.
         """
         given = _about(Path(about))
@@ -129,11 +134,10 @@ class Certificate:
             raise DescriptionError(
                 folder / "calibration.yaml", "contents", f"expected a summary ({error!r})"
             ) from error
-        for test in tests:
-            data = test.as_data()
+        for (words, prefix), test in zip(_named(tests), tests, strict=True):
+            source = "; ".join([f"{test.standard}, {test.readings} readings", *test.notes])
             for symbol, value in test.values.items():
-                name, source = f"{test.test} test, {symbol}", f"{data['standard']}, {test.readings} readings"
-                found.append((name, f"{test.test}.{symbol}", value, test.uncertainties[symbol], source))
+                found.append((f"{words}, {symbol}", f"{prefix}.{symbol}", value, test.uncertainties[symbol], source))
         limits, rule = given.pop("limits_m", {}), given.pop("decision_rule", "guarded")
         if unknown := sorted(set(limits) - {symbol for _, symbol, *_ in found}):
             known = ", ".join(symbol for _, symbol, *_ in found)
@@ -211,6 +215,20 @@ def uncertainty_in_words(statement: Mapping[str, Any]) -> str:
     return f"{1e6 * uncertainty:z.1f}"
 
 
+def _named(tests: Sequence[AcceptanceResult]) -> list[tuple[str, str]]:
+    """Return name and symbol of each test, with its label where there are several of its kind."""
+    counts = Counter(test.test for test in tests)
+    labels = [test.label if counts[test.test] > 1 else "" for test in tests]
+    named = [
+        (f"{test.test} test" + (f" {label}" if label else ""), test.test + (f".{label}" if label else ""))
+        for test, label in zip(tests, labels, strict=True)
+    ]
+    if twice := [symbol for (_, symbol), count in Counter(named).items() if count > 1]:
+        problem = f"has several named {', '.join(twice)}"
+        raise InvalidValueError("tests", problem=problem, expected="files of different names, one for each")
+    return named
+
+
 def _about(path: Path) -> dict[str, Any]:
     """Read and check the YAML file."""
     data = read_mapping(path)
@@ -230,6 +248,9 @@ def _about(path: Path) -> dict[str, Any]:
         item = data[kind]
         if not isinstance(item, dict) or not {"name", "serial_number"} <= set(item) <= set(_ITEM_KEYS):
             raise DescriptionError(path, kind, f"expected name and serial_number, of {', '.join(_ITEM_KEYS)}")
+        for key, value in item.items():
+            if not isinstance(value, (str, int, float, date)) or isinstance(value, bool) or not str(value).strip():
+                raise DescriptionError(path, f"{kind}: {key}", f"expected words or a number, not {value!r}")
         data[kind] = {key: str(value) for key, value in item.items()}
         if (until := data[kind].get("calibrated_until")) is None:
             continue
@@ -300,6 +321,11 @@ def _not_claimed(summary: Mapping[str, Any], tests: Sequence[AcceptanceResult]) 
     if not tests:
         texts.append("No test of ISO 230 was made on the calibrated machine.")
     else:
+        texts += [
+            f"The {words} has {'; '.join(test.notes)}."
+            for (words, _), test in zip(_named(tests), tests, strict=True)
+            if test.notes
+        ]
         texts.append(
             "Tests hold for the lines, circles and spheres that were measured; they are no statement on others."
         )

@@ -213,7 +213,7 @@ def _unseen(calibration: Fit, unlocated: Mapping[str, float]) -> list[str]:
     found = calibration.identification
     shown = found.settled.visits
     nominal = calibration.compensation.errors.robot.forward(shown.commands)
-    seen, possible = motions_seen(found.settled, nominal)
+    seen, possible, _ = motions_seen(found.settled, nominal)
     hidden = []
     if seen < possible:
         hidden.append(f"{possible - seen} of the {possible} motions of the drives at a pose, known only from the model")

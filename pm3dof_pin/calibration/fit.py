@@ -220,12 +220,15 @@ def compensation_from(
 
 def _unseen_motions(measurements: Measurements, nominal: Poses, options: Options) -> Iterator[str]:
     """Say which motions of the drives the measurements do not show."""
-    seen, possible = motions_seen(measurements, nominal, options.eta)
+    seen, possible, whole = motions_seen(measurements, nominal, options.eta)
     if seen < possible and not measurements.joints:  # encoders show more, but of the tool only by the model
         advice = "" if measurements.measured == "pose" else ": measure poses, or targets away from the tool point"
         yield f"each measurement shows {seen} of the {possible} motions of the drives{advice}"
-    if options.learns and measurements.points.any():
-        yield "a single target does not show full poses, so a learned correction is poor; use method lm"
+    if options.learns and measurements.points.any() and not whole:
+        yield (
+            "the targets do not show the full pose at every visit, so a learned correction is poor; use method lm, or "
+            "three targets at each"
+        )
 
 
 def _gaps(identification: Identification) -> Iterator[str]:

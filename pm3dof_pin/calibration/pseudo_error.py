@@ -101,11 +101,17 @@ def control_inverse(control: Array, seen: float = SEEN) -> Array:
     return np.asarray(np.linalg.pinv(control, rcond=seen))
 
 
-def motions_seen(measurements: Measurements, nominal: Poses, eta: float = TIP_LENGTH) -> tuple[int, int]:
-    """Return how many independent motions of the tool by its drives a measurement shows at most, and their number."""
-    moved = pseudo_errors(measurements, nominal, eta).control, weighted_control(nominal, eta)
-    seen, possible = (int(np.linalg.matrix_rank(control_inverse(control)).max()) for control in moved)
-    return seen, possible
+def motions_seen(measurements: Measurements, nominal: Poses, eta: float = TIP_LENGTH) -> tuple[int, int, bool]:
+    """Return how many independent motions of the tool by its drives a visit shows at most, and their number.
+
+    The third is whether all visits show the whole pose.
+    """
+    found = pseudo_errors(measurements, nominal, eta)
+    seen, possible = (
+        int(np.linalg.matrix_rank(control_inverse(control)).max())
+        for control in (found.control, weighted_control(nominal, eta))
+    )
+    return seen, possible, found.whole
 
 
 def pseudo_errors(

@@ -7,14 +7,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
-from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
+from pm3dof_pin.calibration.compensation import Compensated
 from pm3dof_pin.calibration.folder import read_compensation
 from pm3dof_pin.calibration.session_effects import approaches_along
+from pm3dof_pin.cli.calibration_options import (
+    ConditionWords,
+    completed,
+    conditions_of,
+    given_once,
+    require_calibration_of,
+)
 from pm3dof_pin.cli.options import Json, OutFile, PlaceOptions, PoseOptions, Wrench
-from pm3dof_pin.cli.output import message, progress_bar, table_lines
+from pm3dof_pin.cli.output import progress_bar, table_lines
 from pm3dof_pin.cli.poses import (
     expected_numbers,
     names_and_units,
@@ -27,15 +33,12 @@ from pm3dof_pin.cli.temperature_stream import compensate_warm
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.pose_file import readings
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.measuring.joint_columns import approach_columns, drive_names
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
-from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array
 
 _PATH = "path"
 _SIGNS = {"+": 1.0, "-": -1.0, "1": 1.0, "+1": 1.0, "-1": -1.0, "0": 0.0}
-_TRIED = 0.01  # motion of a drive [characteristic lengths, rad]
 
 
 def compensate(
@@ -55,13 +58,7 @@ def compensate(
         ),
     ] = None,
     out: OutFile = None,
-    condition: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="A temperature, a load, or the time (time_s) for drift, named as its column; may be repeated.",
-        ),
-    ] = None,
+    condition: ConditionWords = None,
     approach: Annotated[
         str | None,
         typer.Option(
@@ -87,17 +84,15 @@ def compensate(
     status 1.
     """
     chosen = PoseOptions(pose=at.pose, configuration=at.configuration, poses=poses, out=None if temperatures else out)
-    given: dict[str, Array | float] = {
-        **_conditions(condition or []),
-        **dict(zip(WRENCH_COLUMNS, wrench or (), strict=False)),
-    }
+    loads = dict(zip(WRENCH_COLUMNS, wrench or (), strict=False))
+    given = given_once(conditions_of(condition or []), loads, "--wrench")
     known = read_compensation(calibration)
     machine = known.errors.robot
     columns_of_approach = approach_columns(len(machine.commands))
     if approach is not None and not known.session.hysteresis.size:
         raise InvalidValueError("--approach", approach, "a calibration with hysteresis (time_s or approach_u1 ...)")
     if approach is not None and approach != _PATH:
-        given |= _directions(approach, columns_of_approach)
+        given = given_once(given, _directions(approach, columns_of_approach), "--approach")
     if robot is not None:
         require_calibration_of(_loaded(robot, machine), machine, calibration)
     if temperatures is not None:
@@ -113,8 +108,9 @@ def compensate(
         table = read_table(machine, chosen.poses, used=names)
         many, numbers = table.poses, {name: table.others[name] for name in names if name in table.others}
         if approach == _PATH:
-            given |= dict(zip(columns_of_approach, approaches_along(many.commands).T, strict=True))
-        conditions = _completed(known, {**given, **numbers})
+            along = dict(zip(columns_of_approach, approaches_along(many.commands).T, strict=True))
+            given = given_once(given, along, "--approach path")
+        conditions = completed(known, given_once(given, numbers, f"a column of {chosen.poses}"))
         with progress_bar("compensating") as progress:
             answer = known.compensate(many, conditions, on_failure="nan", with_deviations=False, progress=progress)
         columns = {
@@ -129,7 +125,7 @@ def compensate(
     if approach == _PATH:
         raise typer.BadParameter("--approach path needs the poses of a path (--poses); for one pose give signs: +,-,0")
     solved = place(machine, chosen)
-    conditions = _completed(known, given)
+    conditions = completed(known, given)
     answer = known.compensate(solved.reshape(1), conditions)
     units = {command.unit for command in machine.commands}
     numbers = {"u": answer.commands[0], "u_nominal": answer.nominal_commands[0], "deviation": answer.deviations[0]}
@@ -153,37 +149,6 @@ def _without_commands(columns: Mapping[str, Array], machine: Robot) -> dict[str,
 def _loaded(robot: str, machine: Robot) -> Robot:
     """Load the robot of `--robot`, with the calibrated tool."""
     return Robot.load(robot, tool_frame=machine.tool_frame)
-
-
-def require_calibration_of(asked: Robot, machine: Robot, calibration: Path) -> None:
-    """Check that a calibrated machine is the robot asked for; otherwise raise InvalidValueError."""
-    if not _moves_alike(asked, machine):
-        found = machine.name if asked.name != machine.name else f"another {machine.name}"
-        raise InvalidValueError("--calibration", calibration, f"a calibration of {asked.name}, not of {found}")
-
-
-def _moves_alike(one: Robot, other: Robot) -> bool:
-    """Tell whether two robots have the same drives, and the same tool positions at commands around home."""
-    drives = [[(command.name, command.unit) for command in robot.commands] for robot in (one, other)]
-    if drives[0] != drives[1] or not np.allclose(one.home.commands, other.home.commands, rtol=0.0, atol=SAME):
-        return False
-    steps = _TRIED * coordinate_scales(other, other.command_coordinates)
-    commands = other.home.commands + np.vstack([np.zeros(len(steps)), np.diag(steps)])
-    places = [robot.forward(commands, on_failure="nan", engine="pinocchio").transforms for robot in (one, other)]
-    return bool(np.allclose(places[0], places[1], rtol=0.0, atol=SAME, equal_nan=True))
-
-
-def _completed(compensation: Compensation, given: Conditions) -> Conditions:
-    """Fill in missing conditions with the middle of the measured range; report these and any outside it."""
-    complete = compensation.with_usual_conditions(given)
-    for name in sorted(set(complete) - set(given)):
-        message(f"pm3dof: {name} is not given: using {complete[name]:.4g}, the middle of the measured range")
-    if compensation.learned is not None:
-        for name, (least, most) in compensation.learned.inputs.beyond(given).items():
-            value = given[name]
-            words = f"{name} = {value:.4g} is" if isinstance(value, float) else f"some {name} are"
-            message(f"pm3dof: {words} outside the measured range {least:.4g} .. {most:.4g}: it is extrapolated")
-    return complete
 
 
 def _directions(words: str, columns: tuple[str, ...]) -> dict[str, float]:
@@ -214,14 +179,3 @@ def _lines(robot: Robot, answer: Compensated) -> list[str]:
     lines = table_lines(["drive", f"command [{unit}]", f"nominal [{unit}]", f"difference [{small}]"], rows)
     expected, bound = 1e6 * answer.predicted_error[0], 1e6 * answer.error_bound[0]
     return [*lines, f"expected tip error: {expected:z.1f} µm; below {bound:z.1f} µm with 95 % probability"]
-
-
-def _conditions(words: list[str]) -> dict[str, float]:
-    conditions = {}
-    for word in words:
-        name, _, value = word.partition("=")
-        try:
-            conditions[name.strip()] = float(value)
-        except ValueError as error:
-            raise typer.BadParameter(f"--condition {word}: expected NAME=VALUE with a number") from error
-    return conditions

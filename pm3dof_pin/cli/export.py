@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 import typer
 
 from pm3dof_pin.calibration.folder import read_compensation
-from pm3dof_pin.cli.compensate import require_calibration_of
+from pm3dof_pin.cli.calibration_options import require_calibration_of
 from pm3dof_pin.cli.options import MachineOptions
 from pm3dof_pin.cli.output import message
 from pm3dof_pin.exceptions import DescriptionError

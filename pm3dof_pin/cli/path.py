@@ -13,12 +13,12 @@ import typer
 
 from pm3dof_pin.calibration.folder import read_compensation
 from pm3dof_pin.capability.transmission import drive_values
+from pm3dof_pin.cli.calibration_options import completed, require_calibration_of
 from pm3dof_pin.cli.drive_options import DriveEffort, DriveSpeed, limits_of_drives
 from pm3dof_pin.cli.error_options import RobotErrorsOptions
 from pm3dof_pin.cli.options import Json, Payload, finite_number, numbers_by_name
 from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, progress_bar, table_lines
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, unit_of
-from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.tool_components import rotation_of_angles, tool_components
@@ -148,8 +148,9 @@ def path(
 
     tool_path = read(placements)
     known = None if calibration is None else read_compensation(calibration)
-    if known is not None and known.errors.robot.name != robot.name:
-        raise InvalidValueError("--calibration", calibration, f"a calibration of {robot.name}")
+    if known is not None and calibration is not None:
+        require_calibration_of(robot, known.errors.robot, calibration)
+        completed(known, {})  # which says what is not known on a path
     limits = MotionLimits() if controller is None else controller_limits(robot, controller)
     given: dict[str, Any] = {"acceleration": acceleration, "rapid": rapid, "feed": feed, "jerk": jerk}
     of_drives = limits_of_drives(robot, effort=effort, speed=speed)

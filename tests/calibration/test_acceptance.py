@@ -10,7 +10,9 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+import scipy.integrate
 import scipy.optimize
+import scipy.stats
 import yaml
 
 import pm3dof_pin as pm
@@ -22,7 +24,7 @@ from pm3dof_pin.calibration.acceptance import (
     write_acceptance_plan,
 )
 from pm3dof_pin.calibration.certificate import SCHEMA, Certificate
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError, UnreachablePoseError
 from pm3dof_pin.measuring.export_file import ColumnMap
 from pm3dof_pin.measuring.plan_file import read_plan
 
@@ -148,6 +150,88 @@ def test_noise_is_in_the_uncertainty(tmp_path: Path) -> None:
     assert AcceptanceResult.read(_saved(found, tmp_path)) == found
 
 
+def test_the_uncertainty_counts_what_noise_adds_to_a_maximum(tmp_path: Path) -> None:
+    """Of readings without deviation: B is the greatest of five |differences of means|; its rms follows by quadrature.
+
+    Each difference of means of two readings has the standard deviation of one reading.
+    """
+    path = tmp_path / "still.csv"
+    rows = [f"{k},{side},0" for k in range(5) for side in (1, -1) for _ in range(2)]
+    path.write_text("\n".join(["target_mm,direction,deviation_um", *rows]))
+    found = evaluate_acceptance("positioning", path, instrument=InstrumentErrors(noise=1e-6))
+    # E max^2 = int_0^inf P(max^2 > x) dx
+    mean_square = scipy.integrate.quad(lambda x: 1.0 - scipy.stats.chi2.cdf(x, 1) ** 5, 0.0, np.inf)[0]
+    assert found.values["B"] == 0.0
+    assert found.uncertainties["B"] == pytest.approx(2e-6 * np.sqrt(mean_square), rel=0.1)  # 400 draws
+
+
+def test_without_an_instrument_no_uncertainty_is_stated(tmp_path: Path, run: Callable[..., Any]) -> None:
+    _positions(tmp_path / "line.csv")
+    done = run("acceptance", "evaluate", "positioning", "line.csv", "--out", "line.json", cwd=tmp_path)
+    assert "not stated" in done.stdout
+    found = AcceptanceResult.read(tmp_path / "line.json")
+    assert set(found.uncertainties.values()) == {None}
+    assert "2 runs" in done.stderr
+    assert "2 runs" in found.notes[0]
+    assert found.as_data()["standard"] == "after ISO 230-2"
+
+
+def test_five_runs_are_those_of_the_standard(tmp_path: Path) -> None:
+    path = tmp_path / "line.csv"
+    rows = [f"{k},{side},{run}" for k in range(5) for side in (1, -1) for run in range(5)]
+    path.write_text("\n".join(["target_mm,direction,deviation_um", *rows]))
+    found = evaluate_acceptance("positioning", path)
+    assert (found.notes, found.standard) == ((), "ISO 230-2")
+
+
+@pytest.mark.parametrize(("arc", "words"), [(360, ""), (220, "an arc of 219 degrees"), (120, "an arc of 119 degrees")])
+def test_an_arc_is_named(arc: int, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "arc.csv"
+    path.write_text("angle_deg,direction,radius_mm\n" + "\n".join(f"{k},1,{100 + 1e-4 * (k % 7)}" for k in range(arc)))
+    found = evaluate_acceptance("circular", path)
+    assert words in "; ".join(found.notes)
+    assert bool(words) == bool(found.notes)
+    assert found.standard == ("after ISO 230-4" if words else "ISO 230-4")
+
+
+def _touches(path: Path, points: np.ndarray) -> Path:
+    path.write_text("x_m,y_m,z_m\n" + "\n".join(",".join(map(repr, row)) for row in points.tolist()))
+    return path
+
+
+def test_touches_that_are_not_of_a_hemisphere_are_refused(tmp_path: Path) -> None:
+    points, _ = planned_targets("probing", (0.1, 0.2, 0.3, 0.0125))
+    path, centre = tmp_path / "sphere.csv", np.array([0.1, 0.2, 0.3])
+    flat = points * (1.0, 1.0, 0.0) + np.arange(25.0)[:, None] * (1e-6, 0.0, 0.0)
+    cap = centre + 0.0125 * ((cap := (points - centre) + (0.0, 0.0, 0.0125)) / np.linalg.norm(cap, axis=1)[:, None])
+    for wrong, says in (
+        (flat, "height is 0 % of their width"),
+        (cap, "all over a hemisphere"),  # half of the polar angles: up to 45 degrees
+        (points[:24], "24 touches, 24 of them distinct"),
+        (np.tile(points[:1], (25, 1)), "25 touches, 1 of them distinct"),
+    ):
+        with pytest.raises(MeasurementError, match=says):
+            evaluate_acceptance("probing", _touches(path, wrong))
+    for radius in (0.125, 0.025):
+        with pytest.raises(MeasurementError, match=f"radius of 0.0125 m as measured, nominally {radius} m"):
+            evaluate_acceptance("probing", _touches(path, points), radius=radius)
+    assert evaluate_acceptance("probing", path, radius=0.0125).values["size"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_circle_of_another_radius_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "circle.csv"
+    path.write_text("angle_deg,direction,radius_mm\n" + "\n".join(f"{10 * k},1,100" for k in range(36)))
+    with pytest.raises(MeasurementError, match=r"radius of 0\.1 m as measured, nominally 0\.01 m"):
+        evaluate_acceptance("circular", path, radius=0.01)
+
+
+def test_diagonals_are_four_and_no_line(tmp_path: Path) -> None:
+    with pytest.raises(MeasurementError, match="has diagonals 1, 2, 3: expected the 4"):
+        evaluate_acceptance("diagonals", _positions(tmp_path / "three.csv", 3))
+    with pytest.raises(MeasurementError, match="has a column diagonal"):
+        evaluate_acceptance("positioning", _positions(tmp_path / "box.csv", 4))
+
+
 def _saved(found: AcceptanceResult, folder: Path) -> Path:
     path = folder / "result.json"
     path.write_text(json.dumps(found.as_data()))
@@ -171,6 +255,20 @@ def test_planned_commands_bring_the_tool_there(test: Any, place: tuple[float, ..
     )
 
 
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_plan_beyond_the_limits_is_refused(calibrated: bool, calibration_folder: Path, tmp_path: Path) -> None:
+    """The limits of the drives are those of z; two of five targets are above them."""
+    known = pm.read_compensation(calibration_folder)
+    robot = known.errors.robot
+    z = next(coordinate for coordinate in robot.coordinates if coordinate.name == "z_e")
+    high = float(robot.range_of(z)[1])
+    points, columns = planned_targets("positioning", (0.0, 0.0, high - 0.06, 0.0, 0.0, high + 0.04), runs=2)
+    path = tmp_path / "plan.csv"
+    with pytest.raises(UnreachablePoseError, match=r"8 of 20 points break a limit, first point 4 at \(.*outside .* m"):
+        write_acceptance_plan(robot, points, columns, path, known if calibrated else None)
+    assert not path.exists()
+
+
 def test_targets_come_from_both_sides() -> None:
     points, columns = planned_targets("diagonals", (0, 0, 0, 1, 1, 1), targets=5, runs=3)
     assert len(points) == 4 * 5 * 2 * 3
@@ -192,6 +290,11 @@ def test_targets_come_from_both_sides() -> None:
         ("positioning", "target_m,direction,deviation_m\n0,2,0", "line 2: direction is neither 1 nor -1"),
         ("positioning", "target_m,deviation_m\n0,0", "no column direction"),
         ("circular", "angle_deg,direction,radius_m\n0,1,0.1\n90,1,0.1", "fewer than 12 angles"),
+        (
+            "circular",
+            "angle_deg,direction,radius_m\n" + "\n".join(f"{k},1,0.1" for k in range(60)),
+            "an arc of 59 degrees ccw: expected the whole circle, or 90",
+        ),
         ("probing", "x_m,y_m,z_m\n0,0,1\n0,1,0", "has 2 touches"),
     ],
 )
@@ -253,6 +356,54 @@ def test_a_report_to_sign(calibration_folder: Path, tmp_path: Path, run: Callabl
 
 
 @pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"test_uncertainties_k2_m": {"A": -1.0}}, "uncertainty of A = -1.0: expected a finite number of at least 0"),
+        ({"test_uncertainties_k2_m": {"A": float("nan")}}, "uncertainty of A = nan"),
+        ({"test_uncertainties_k2_m": {"A": float("inf")}}, "uncertainty of A = inf"),
+        ({"test_uncertainties_k2_m": {"A": "1e-6"}}, "uncertainty of A = 1e-6"),
+        ({"test_uncertainties_k2_m": {"A": True}}, "uncertainty of A = True"),
+        ({"test_uncertainties_k2_m": {}}, "expected those of"),
+        ({"results_m": {"A": None}}, "result A = None: expected a finite number"),
+        ({"test": "drilling"}, "expected one of positioning"),
+        ({"readings": 0}, "readings = 0"),
+    ],
+)
+def test_impossible_results_are_refused(change: dict[str, Any], says: str, tmp_path: Path) -> None:
+    path, right = tmp_path / "line.json", AcceptanceResult("positioning", {"A": 1e-5}, {"A": 1e-6}, 50)
+    path.write_text(json.dumps(right.as_data()))
+    assert AcceptanceResult.read(path) == right
+    path.write_text(json.dumps(right.as_data() | change))
+    with pytest.raises(DescriptionError, match=says):
+        AcceptanceResult.read(path)
+
+
+def test_tests_of_one_kind_are_told_apart(calibration_folder: Path, tmp_path: Path) -> None:
+    results = []
+    for name, value, notes in (("x", 10e-6, ()), ("y", 30e-6, ("as few as 2 runs",))):
+        found = AcceptanceResult("positioning", {"A": value}, {"A": None}, 50, notes)
+        (tmp_path / f"{name}.json").write_text(json.dumps(found.as_data()))
+        results.append(AcceptanceResult.read(tmp_path / f"{name}.json"))
+    about = tmp_path / "about.yaml"
+    limits = {"positioning.x.A": 20e-6, "positioning.y.A": 20e-6}
+    about.write_text(yaml.safe_dump(ABOUT | {"limits_m": limits, "decision_rule": "simple"}))
+    data = Certificate.make(calibration_folder, about, results).data
+    jsonschema.validate(data, SCHEMA)
+    found_ = {each["symbol"]: each for each in data["statements"]}
+    assert found_["positioning.x.A"]["decision"] == "conforms"
+    assert found_["positioning.y.A"]["decision"] == "does not conform"
+    assert found_["positioning.y.A"]["name"] == "positioning test y, A"
+    assert "as few as 2 runs" in found_["positioning.y.A"]["source"]
+    assert any("as few as 2 runs" in text for text in data["not_claimed"])
+    with pytest.raises(InvalidValueError, match=r"several named positioning\.x"):
+        Certificate.make(calibration_folder, about, [results[0], results[0]])
+    # not stated: nothing is decided by the guarded rule
+    about.write_text(yaml.safe_dump(ABOUT | {"limits_m": limits}))
+    data = Certificate.make(calibration_folder, about, results).data
+    assert {each["decision"] for each in data["statements"] if each["symbol"] in limits} == {"undecided"}
+
+
+@pytest.mark.parametrize(
     ("rule", "factor", "decision"),
     [
         ("guarded", 1.01, "conforms"),
@@ -295,7 +446,13 @@ def test_a_bound_has_no_uncertainty_beside_it(
         ({"temperature_C": [20.3, 19.8]}, r"expected the lowest first, not \[20.3, 19.8\]"),
         ({"temperature_C": [-300.0, 19.8]}, "expected the lowest first"),
         ({"limits_m": {"tip.rms": "１e-4"}}, "positive numbers"),
+        ({"date": "2026-13-45"}, "expected YYYY-MM-DD, a day of the calendar, not 2026-13-45"),
         ({"machine": {"name": "x"}}, "expected name and serial_number"),
+        ({"machine": {"name": " ", "serial_number": "1"}}, "machine: name: expected words or a number, not ' '"),
+        ({"machine": {"name": "x", "serial_number": None}}, "machine: serial_number: expected words .* not None"),
+        ({"instrument": {"name": "x", "serial_number": ""}}, "instrument: serial_number: expected words"),
+        ({"temperature_C": [30, 10]}, "the lowest first"),
+        ({"temperature_C": [-300, 10]}, "expected"),
         ({"temperature_C": 20}, "lowest and highest"),
         ({"limits_m": {"tip.rms": -1.0}}, "positive numbers"),
         ({"limits_m": {"tip.best": 1.0}}, "expected symbols of statements, .*tip.rms.*; not tip.best"),

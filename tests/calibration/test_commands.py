@@ -197,6 +197,52 @@ def test_conditions(place: Path, run: Run, answer: Answer) -> None:
     assert wrong.returncode == 1
     assert "expected one of temperature_screws_K" in wrong.stderr
     assert run("compensate", *pose, "--condition", "warm", cwd=place).returncode == 2
+    for values in (("nan",), ("inf",), ("1", "2")):
+        words = [part for value in values for part in ("--condition", f"temperature_screws_K={value}")]
+        refused = run("compensate", *pose, *words, cwd=place)
+        assert refused.returncode == 2
+        assert f"temperature_screws_K={values[-1]}" in refused.stderr
+    (place / "warm.csv").write_text("theta_x_deg,theta_y_deg,z_e_m,temperature_screws_K\n0,5,0.49,3\n")
+    files = ("--calibration", "calibration", "--poses", "warm.csv")
+    assert run("compensate", *files, "--json", cwd=place).returncode == 0
+    both = run("compensate", *files, "--condition", "temperature_screws_K=4", cwd=place)
+    assert (both.returncode, both.stdout) == (2, "")
+    assert "given twice, the second time by a column of warm.csv: temperature_screws_K" in " ".join(both.stderr.split())
+
+
+def test_acceptance_plans_and_paths_have_conditions(place: Path, run: Run) -> None:
+    """Lengths that grow with the temperature shift the commands of a test as those of a pose."""
+    line = ("acceptance", "plan", "positioning", "--line", "0", "0", "0.48", "0", "0", "0.5", "--out", "line.csv")
+    of = ("--calibration", "calibration")
+
+    def planned(*words: str) -> tuple[Any, str]:
+        done = run(*line, *of, *words, cwd=place)
+        assert done.returncode == 0, done.stderr
+        return np.loadtxt(place / "line.csv", delimiter=",", skiprows=1)[:, :3], done.stderr
+
+    cold, warm = (planned("--condition", f"temperature_screws_K={rise}")[0] for rise in (0, 8))
+    assert np.all(cold - warm > 5e-6)
+    usual, said = planned()
+    assert "temperature_screws_K is not given: using" in said
+    assert np.all((cold > usual) & (usual > warm))
+    assert run(*line, "--condition", "temperature_screws_K=1", cwd=place).returncode == 2
+    (place / "up.csv").write_text("theta_x_deg,theta_y_deg,z_e_m\n0,0,0.49\n0,1,0.49\n")
+    judged = run("path", "up.csv", *of, cwd=place)
+    assert "temperature_screws_K is not given: using" in judged.stderr, judged.stderr
+
+
+@pytest.mark.parametrize("command", ["acceptance", "path", "compensate"])
+def test_a_calibration_of_another_robot_is_refused(command: str, place: Path, run: Run) -> None:
+    (place / "g.csv").write_text("x_m,y_m,z_m\n0,0,0.135\n0.001,0,0.135\n")
+    words = {
+        "acceptance": ("plan", "circular", "--circle", "0", "0", "0.135", "0.005", "--out", "circle.csv"),
+        "path": ("g.csv",),
+        "compensate": ("0", "5", "0.49"),
+    }[command]
+    refused = run(command, *words, "--robot", "linear_delta", "--calibration", "calibration", cwd=place)
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert "expected a calibration of linear_delta, not of pm3dof" in refused.stderr
+    assert not (place / "circle.csv").exists()
 
 
 def test_poses_beyond_limits_and_reach(place: Path, run: Run) -> None:

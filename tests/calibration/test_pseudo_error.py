@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
+from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.learned_part import InputScale
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
@@ -241,3 +242,13 @@ def test_poses_that_are_no_numbers_are_infinitely_wrong(tripod_nominal: Poses) -
     errors = seen_errors(measurements, poses.robot.at(q)).errors
     assert np.isinf(errors[1]).all()
     np.testing.assert_allclose(errors[[0, 2]], 0.0, atol=1e-12)
+
+
+@pytest.mark.usefixtures("few_folds")
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_three_targets_at_every_pose_show_it_wholly(count: int, tripod_nominal: Poses) -> None:
+    """The turn about the line through two targets is not seen; three that are not on a line show all six components."""
+    poses, targets = tripod_nominal[:30], ((0.1, 0.0, 0.0), (-0.05, 0.09, 0.0), (-0.05, -0.09, 0.02))[:count]
+    seen = Measurements.from_poses(poses.commands, poses.transforms, Instrument("position", targets=targets))
+    warnings = calibrate(seen, poses.robot, "gp", on_refusal="keep").warnings
+    assert any("a learned correction is poor" in warning for warning in warnings) == (count < 3)

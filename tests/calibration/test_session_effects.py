@@ -110,6 +110,15 @@ def test_a_folder_keeps_them(run: Callable[..., Any], tmp_path: Path) -> None:
     assert [answer.returncode for answer in answers] == [0, 0, 2, 2], answers[0].stderr
     assert answers[0].stdout != answers[1].stdout
     assert "6 directions" in answers[2].stderr
+    assert "time_s is not given: drift is not corrected" in answers[0].stderr
+    header = "x_m,y_m,z_m,rx_deg,ry_deg,rz_deg"
+    (tmp_path / "sides.csv").write_text(f"{header},approach_u1\n0,0,0.13,0,0,0,1\n0.001,0,0.13,0,0,0,1\n")
+    (tmp_path / "plain.csv").write_text(f"{header}\n0,0,0.13,0,0,0\n0.001,0,0.13,0,0,0\n")
+    for name, status in (("sides", 2), ("plain", 0)):
+        words = ("--calibration", "c", "--poses", f"{name}.csv", "--approach", "path", "--json")
+        done = run("compensate", *words, cwd=tmp_path)
+        assert done.returncode == status, done.stderr
+        assert ("given twice" in done.stderr) == (name == "sides")
 
 
 def test_sides_along_a_path() -> None:
