@@ -479,14 +479,6 @@ def test_an_instrument_calibrated_until_then_is_signed_for(
     assert Certificate.make(calibration_folder, about).data["instrument"]["calibrated_until"] == until
 
 
-def test_a_negative_uncertainty_is_refused(tmp_path: Path) -> None:
-    results = tmp_path / "positioning.json"
-    wrong = AcceptanceResult("positioning", {"A": 1e-5, "B": 1e-5}, {"A": 1e-6, "B": -1e-6}, 20)
-    results.write_text(json.dumps(wrong.as_data()))
-    with pytest.raises(DescriptionError, match="the uncertainty of B is negative"):
-        AcceptanceResult.read(results)
-
-
 def test_a_changed_summary_is_not_signed(calibration_folder: Path, tmp_path: Path) -> None:
     about, summary = tmp_path / "about.yaml", calibration_folder / "calibration.yaml"
     about.write_text(yaml.safe_dump(ABOUT))
