@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,6 +116,13 @@ def read_error_file(path: Path | str) -> ErrorFile:
 
 def _tie(path: Path, name: str, body: TieSchema) -> TiedEntry:
     parts = body.of if isinstance(body.of, dict) else dict.fromkeys(body.of, 1.0)
+    for part, factor in parts.items():
+        if not (math.isfinite(factor) and factor != 0.0):
+            problem = f"expected a finite factor of {part} other than 0, not {factor:g}"
+            raise DescriptionError(path, f"ties.{name}.of", problem)
+    if len(parts) < len(body.of):
+        twice = next(part for part in body.of if list(body.of).count(part) > 1)
+        raise DescriptionError(path, f"ties.{name}.of", f"expected each displacement once, not {twice} twice")
     tolerances = [(body.tolerance_m, "m"), (body.tolerance_rad, "rad")]
     given = [(size, unit) for size, unit in tolerances if size is not None]
     if not parts or len(given) != 1:

@@ -25,6 +25,12 @@ _SOUND = 1e6  # greatest condition number of the normal equations, the square of
 _STEPS = 3  # each reduces the error about a thousandfold
 _SHORTER = (0.25, 0.25, 0.25, 0.0)  # factors tried in turn on a step that increases the error
 _FARTHEST_TURN = np.pi  # of a drive in one step [rad]: derivatives are meaningless beyond half a turn
+_SETTLED = 1e-6  # last of these steps [rad, m], after which nothing is left to be gained
+_STRAYED = 1e-2  # share of the error that they leave where damped ones had better start anew
+_DAMPED_STEPS = 60
+_NEGLIGIBLE = 1e-9  # expected gain of a damped step at which they end [m, tip-weighted]
+_DAMPING, _LESS, _MORE = 1e-3, 0.1, 4.0  # at first, relative to squared derivatives, and factors after each step
+_AS_EXPECTED = 0.25  # share of the expected gain after which it becomes less
 
 
 def command_jacobians(poses: Poses) -> Array:
@@ -90,20 +96,73 @@ def _normal_solution(control: Array, targets: Array) -> tuple[Array, Mask]:
 def nearest_poses(poses: Poses, targets: Array, eta: float = TIP_LENGTH, *, on_failure: OnFailure = "raise") -> Poses:
     """Return the poses of a robot nearest to target transforms, tip-weighted, starting from nearby poses.
 
+    Where Gauss-Newton steps do not settle, as near singularities, damped ones follow. These break no limit.
+
     Raises:
         UnreachablePoseError: see :func:`descend`.
     """
+    weights, scales, steps = tip_weights(eta, poses.robot.tool_motions), command_scales(poses), np.zeros((0, 0))
 
     def residuals(poses: Poses) -> Array:
-        return pose_difference(targets, poses.transforms) * tip_weights(eta, poses.robot.tool_motions)
-
-    scales = command_scales(poses)
+        return pose_difference(targets, poses.transforms) * weights
 
     def step(poses: Poses) -> Array:
+        nonlocal steps
         difference = pose_difference(targets, poses.transforms)
-        return scales * best_commands(command_jacobians(poses) * scales, difference, eta, poses.robot.tool_motions)
+        steps = best_commands(command_jacobians(poses) * scales, difference, eta, poses.robot.tool_motions)
+        return scales * steps
 
-    return descend(poses, poses.commands, step, residuals, on_failure=on_failure)[1]
+    found = descend(poses, poses.commands, step, residuals, on_failure=on_failure)[1]
+    left = np.linalg.norm(residuals(found), axis=1)
+    rows = np.flatnonzero(np.abs(steps).max(axis=1, initial=0.0) > _SETTLED)
+    if not rows.size:
+        return found
+    q = np.array(found.q)
+    strayed = left > _STRAYED * np.linalg.norm(residuals(poses), axis=1)
+    for start in (np.where(strayed[:, None], poses.q, q), np.array(q)):
+        damped = _damped(poses.robot.at(start[rows]), poses.within_limits[rows], targets[rows], eta)
+        reached = np.linalg.norm(pose_difference(targets[rows], damped.transforms) * weights, axis=1)
+        better = reached <= left[rows] + ROUNDING
+        q[rows[better]] = damped.q[better]
+        rows = rows[~better]
+        if not rows.size:
+            break
+    return poses.robot.at(q)
+
+
+def _damped(poses: Poses, limited: Mask, targets: Array, eta: float) -> Poses:
+    """Return nearest poses by the method of Levenberg and Marquardt; those that are limited stay within the limits.
+
+    A step that would break a limit is shortened, not turned along it. Drives are measured by the greatest derivatives
+    so far (J. J. Moré, The Levenberg-Marquardt algorithm, 1978).
+    """
+    robot, scales, weights = poses.robot, command_scales(poses), tip_weights(eta, poses.robot.tool_motions)
+    drives = np.arange(len(scales))
+    q, commands, damping = np.array(poses.q), np.array(poses.commands), np.full(len(poses), _DAMPING)
+    error, control = pose_difference(targets, poses.transforms) * weights, weighted_control(poses, eta)
+    sizes, rows = np.zeros_like(commands), np.arange(len(poses))
+    for _ in range(_DAMPED_STEPS):
+        own, before = control[rows], np.sum(error[rows] ** 2, axis=1)
+        normal, slope = np.swapaxes(own, 1, 2) @ own, np.einsum("nij,ni->nj", own, error[rows])
+        sizes[rows] = np.maximum(sizes[rows], np.einsum("nii->ni", normal))
+        raised = damping[rows, None] * (sizes[rows] + SOLVED * sizes[rows].max(axis=1, keepdims=True))
+        normal[:, drives, drives] += raised
+        move = -np.linalg.solve(normal, slope[:, :, None])[:, :, 0]
+        tried = robot.forward(commands[rows] + scales * move, guess=q[rows], on_failure="nan")
+        there = pose_difference(targets[rows], tried.transforms) * weights
+        gained = before - np.sum(there**2, axis=1)
+        taken = tried.solved & (tried.within_limits | ~limited[rows]) & (gained > 0.0)
+        expected = np.sum(move * (raised * move - slope), axis=1)
+        good = taken & (gained > _AS_EXPECTED * expected)
+        now = rows[taken]
+        q[now], error[now], commands[now] = tried.q[taken], there[taken], commands[now] + (scales * move)[taken]
+        damping[rows] *= np.where(good, _LESS, np.where(taken, 1.0, _MORE))
+        if now.size:
+            control[now] = weighted_control(tried[taken], eta)
+        rows = rows[expected > 2.0 * _NEGLIGIBLE * np.sqrt(before)]
+        if not rows.size:
+            break
+    return robot.at(q)
 
 
 def descend(

@@ -119,7 +119,8 @@ class GeometricErrors:
         tolerances: of the parameters, shape=(number of parameters,) [m, rad].
 
     Raises:
-        InvalidValueError: two parameters share a name, an axis is not a unit vector, or a tolerance is not positive.
+        InvalidValueError: two parameters share a name, an axis is not a unit vector, or a tolerance is not positive; or
+            a tied parameter has a displacement twice, or a factor that is 0 or not finite.
         FrameNotFoundError: a place is neither a joint nor a frame of the robot.
     """
 
@@ -430,10 +431,26 @@ def _check(parameters: Sequence[GeometricParameter | TiedParameter]) -> None:
     for parameter in parameters:
         if isinstance(parameter, TiedParameter) and len({part.motion for part, _ in parameter.parts}) != 1:
             raise InvalidValueError(parameter.name, "its parts", "translations only, or rotations only, at least one")
+        if isinstance(parameter, TiedParameter):
+            if twice := _repeated(parameter.parts):
+                raise InvalidValueError(f"parts of {parameter.name}", twice, "each displacement once")
+            for part, factor in parameter.parts:
+                if not (math.isfinite(factor) and factor != 0.0):
+                    raise InvalidValueError(f"factor of {part.name} in {parameter.name}", factor, "finite and not 0")
         if not abs(math.hypot(*parameter.axis) - 1.0) <= _UNIT:
             raise InvalidValueError(f"axis of {parameter.name}", parameter.axis, "a unit vector")
         if not (np.isfinite(parameter.tolerance) and parameter.tolerance > 0.0):
             raise InvalidValueError(f"tolerance of {parameter.name}", parameter.tolerance, "a positive number")
+
+
+def _repeated(parts: Sequence[tuple[GeometricParameter, float]]) -> str | None:
+    """Return the name of a part that is the same displacement as one before it, perhaps by another name."""
+    seen: set[tuple[str, Motion, tuple[float, float, float]]] = set()
+    for part, _ in parts:
+        if (displacement := (part.place, part.motion, part.axis)) in seen:
+            return part.name
+        seen.add(displacement)
+    return None
 
 
 def _parameter(
@@ -464,6 +481,9 @@ def _parameters_of(robot: Robot, file: ErrorFile) -> list[GeometricParameter | T
         if any(part.unit != unit for part, _ in parts) or unit != tie.unit:
             expected = f"translations with tolerance_m, or rotations with tolerance_rad, not {', '.join(tie.parts)}"
             raise DescriptionError(file.path, f"ties.{tie.name}", f"expected {expected}")
+        if twice := _repeated(parts):
+            problem = f"expected each displacement once, not that of {twice} twice"
+            raise DescriptionError(file.path, f"ties.{tie.name}.of", problem)
         parameters.append(TiedParameter(tie.name, parts, tie.group, tie.tolerance))
     return parameters
 

@@ -328,8 +328,8 @@ def test_other_robots(name: str, tmp_path: Path, run: Run, answer: Answer) -> No
     commanded = answer("compensate", "--calibration", "c", "--configuration", "home", cwd=tmp_path)
     assert len(commanded["u"]) == len(commanded["commands"]) > 0
     difference = np.abs(np.array(commanded["u"]) - commanded["u_nominal"])
-    assert difference.max() < 1e-2
-    assert difference.max() > 1e-8 or name == "ur5"  # its home is singular: no step from there gets closer
+    # the arm's home is stretched: a millimetre less reach takes 0.1 rad of the elbow, as 0.2 m (1 - cos) tells
+    assert 1e-8 < difference.max() < (0.2 if name == "ur5" else 1e-2)
     poses = Robot.load(robot, tool_frame="tool0" if name == "ur5" else None)
     near_home = poses.home.commands + 1e-3 * np.arange(3)[:, None]
     columns = poses.forward(near_home).coordinates

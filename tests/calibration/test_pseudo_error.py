@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
@@ -15,7 +16,7 @@ from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.learned_part import InputScale
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
 from pm3dof_pin.calibration.pseudo_error import pseudo_errors, seen_errors
-from pm3dof_pin.errors.command_correction import nearest_poses
+from pm3dof_pin.errors.command_correction import _damped, nearest_poses
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
@@ -74,6 +75,38 @@ def test_steps_near_a_singularity_lead_nowhere_else(serial_arm: Robot) -> None:
     assert np.all(after <= before)
     assert np.median(after) < 1e-12
     assert np.abs(nearest.commands - nominal.commands).max() < 1.0
+
+
+def test_the_nearest_poses_near_singularities_are_least_squares(serial_arm: Robot) -> None:
+    """Where most is left, SciPy finds nothing nearer, started there and at the nominal commands."""
+    model = serial_arm.model.copy()
+    model.lowerPositionLimit, model.upperPositionLimit = np.full(6, -20.0), np.full(6, 20.0)
+    arm = Robot(model, tool_frame="tool0")
+    errors, generator = GeometricErrors(arm), np.random.default_rng(3)
+    nominal = arm.forward(generator.uniform(-np.pi, np.pi, (400, 6)))
+    wanted = errors.apply(10.0 * errors.sample(generator)).forward(nominal.commands, guess=nominal.q).transforms
+    nearest = nearest_poses(nominal, wanted)
+    after = tip_error(pose_difference(wanted, nearest.transforms))
+    weights = np.repeat([1e3, 1e2], 3)
+    for k in np.argsort(after)[-12:].tolist():
+
+        def missed(commands: np.ndarray, k: int = k) -> np.ndarray:
+            return np.asarray(pose_difference(wanted[k], arm.forward(commands).transforms) * weights)
+
+        starts = nearest.commands[k], nominal.commands[k]
+        found = [least_squares(missed, start, xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=100) for start in starts]
+        best = min(found, key=lambda result: float(result.cost))
+        assert after[k] < 1e-3 * np.sqrt(2.0 * best.cost) + 1e-6, k
+
+
+def test_damped_steps_break_no_limit(serial_arm: Robot) -> None:
+    """Unlike the best commands of some of these poses."""
+    errors, generator = GeometricErrors(serial_arm), np.random.default_rng(3)
+    nominal = serial_arm.forward(generator.uniform(-np.pi, np.pi, (400, 6)))
+    wanted = errors.apply(10.0 * errors.sample(generator)).forward(nominal.commands, guess=nominal.q).transforms
+    everywhere = np.ones(len(nominal), dtype=bool)
+    assert _damped(nominal, everywhere, wanted, 0.1).within_limits.all()
+    assert not _damped(nominal, ~everywhere, wanted, 0.1).within_limits.all()
 
 
 @pytest.mark.parametrize("eta", [0.02, 0.1, 0.5])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import pm3dof_pin as pm
-from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.error_parameters import GeometricErrors, TiedParameter
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import PM3DofError
 
@@ -78,6 +79,10 @@ def test_some_of_them(tied: GeometricErrors) -> None:
         ("carriage1_joint.tz: 1.0", "carriage1_joint.z: 1.0", "carriage1_joint.tx"),
         ("tolerance_m: 2.0e-3, ", "", "tolerance_m or tolerance_rad"),
         ("[carriage1_joint.tx, carriage2_joint.tx, carriage3_joint.tx]", "[]", "with parts"),
+        ("carriage1_joint.tz: 1.0", "carriage1_joint.tz: 0.0", "factor of carriage1_joint.tz other than 0"),
+        ("carriage1_joint.tz: 1.0", "carriage1_joint.tz: .nan", "finite|number"),
+        ("[carriage1_joint.tx, carriage2", "[carriage1_joint.tx, carriage1_joint.tx, carriage2", "tx twice"),
+        ("carriage1_joint.tz: 1.0", "carriage2_joint.tz: 2.0", "displacement once"),  # that of t_along, by another name
     ],
 )
 def test_malformed_ties(tmp_path: Path, old: str, new: str, word: str) -> None:
@@ -85,6 +90,15 @@ def test_malformed_ties(tmp_path: Path, old: str, new: str, word: str) -> None:
     path.write_text(TEXT.replace(old, new))
     with pytest.raises(PM3DofError, match=word):
         GeometricErrors.from_file(pm.load("linear_delta"), path)
+
+
+def test_ties_made_in_python_are_checked_too(tied: GeometricErrors) -> None:
+    radius = next(parameter for parameter in tied.parameters if parameter.name == "radius")
+    assert isinstance(radius, TiedParameter)
+    (first, _), *others = radius.parts
+    for parts, word in ((((first, 0.0), *others), "not 0"), (((first, 1.0), *radius.parts), "once")):
+        with pytest.raises(PM3DofError, match=word):
+            GeometricErrors(tied.robot, [replace(radius, parts=parts)])
 
 
 @pytest.mark.parametrize("count", [6, 7, 9])
