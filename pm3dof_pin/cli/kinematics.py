@@ -127,20 +127,11 @@ def fk(
     if found_modes is not None:
         if machine.coordinates == machine.command_coordinates:
             lines = _mode_lines(found_modes.poses)
-        count = len(found_modes.counts)
         result |= {"starts": found_modes.starts, "estimated_modes": found_modes.estimated}
         result["missed_probability"] = found_modes.missed
         for entry, pose, times in zip(result["assembly_modes"], found_modes.poses, found_modes.counts, strict=True):
             entry |= {"within_limits": not broken_limits(machine, pose), "found": times, "joints": _joints(pose)}
-        least = min(_TIMES, *found_modes.counts)
-        lines.append(
-            f"{count} assembly modes from {found_modes.starts:,} random starts, and there are more, too many to find: "
-            f"at least about {float(f'{found_modes.estimated:.2g}'):,.0f} in all"
-            if found_modes.more
-            else f"{count} assembly modes from {found_modes.starts:,} random starts, each met at least {least} times; "
-            f"estimated number {found_modes.estimated:.3g}, and one as rarely met as that is missing with a "
-            f"probability of {100.0 * math.exp(-least):.2g} %"
-        )
+        lines.append(_completeness(found_modes))
     if solved.solved and machine.tool_frame is not None:
         components = dict(zip(TOOL_COMPONENTS, tool_components(solved.transforms), strict=True))
         result["tool"] = {f"{k}_{'m' if k in 'xyz' else 'rad'}": float(value) for k, value in components.items()}
@@ -230,6 +221,26 @@ def _joints(configuration: Configuration) -> dict[str, float]:
     model = configuration.mechanism.model
     singles = [name for name in list(model.names)[1:] if model.joints[model.getJointId(name)].nv == 1]
     return {name: configuration.joint_position(name) for name in singles}
+
+
+def _completeness(modes: AssemblyModes) -> str:
+    """Say how many modes random starts met, and how likely there are others; home's may be met by none of them."""
+    met = [times for times in modes.counts if times]
+    starts = f"{modes.starts:,} random starts"
+    if not met:
+        return f"home's assembly mode; none of {starts} closes the loops, so that nothing is known of others"
+    beside = "" if len(met) == len(modes.counts) else ", and home's, which none of these met"
+    found = f"{len(met)} assembly modes from {starts}{beside}"
+    if modes.more:
+        total = float(f"{modes.estimated:.2g}")
+        return f"{found}; there are more, too many to find: at least about {total:,.0f} in all"
+    if beside:
+        return f"{found}; others as rarely met are likely to be missing"
+    least = min(_TIMES, *met)
+    return (
+        f"{found}, each met at least {least} times; estimated number {modes.estimated:.3g}, and one as rarely met as "
+        f"that is missing with a probability of {100.0 * math.exp(-least):.2g} %"
+    )
 
 
 def _found_modes(robot: Robot, commands: Vector) -> AssemblyModes:

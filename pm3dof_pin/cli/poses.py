@@ -26,6 +26,7 @@ from pm3dof_pin.kinematics.units import unit_slip
 from pm3dof_pin.typing import Vector
 
 _MAX_DEGREES = 360.0
+_ZERO = 1e-9  # numbers up to here are zeros with rounding [deg, m]
 _FEW_DEGREES = 0.5
 
 
@@ -153,6 +154,7 @@ def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayL
     angles = []
     for coordinate, column in zip(coordinates, table.T, strict=True):
         worst = float(column[np.abs(column).argmax()])
+        worst = worst if abs(worst) > _ZERO else 0.0  # rounding has no unit
         if coordinate.unit == "m" and (slip := unit_slip(robot, coordinate, column)):
             found = f"{coordinate.name} = {worst:g} m looks like {slip.unit}"
             raise typer.BadParameter(f"{found}: expected metres ({worst / 1000:g})")

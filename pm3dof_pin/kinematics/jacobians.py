@@ -414,7 +414,10 @@ def _motions_by(
     at_rest[pivots] = -solve_upper(triangle, solved.pivot_rows[:, dropped])
     for entry in product(product(wanted, basis), at_rest).ravel():
         if np.nanmax(np.abs(samples(entry))) > DROPPED:
-            raise ProgramError(f"{robot.name}: wanted rates can move while the given ones are at rest")
+            raise ProgramError(
+                f"{robot.name}: wanted rates can move while the given ones are at rest: expected as "
+                "many given rates as determine them; declare further coordinates, such as joints of the arm or the legs"
+            )
         doubt.drop([entry])
     rates: Objects = product(basis[:, pivots], solve_upper(triangle, solved.carry(identity(len(by)))[0]))
     return rates * factors[1].T, product(basis, at_rest)

@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
+_MOST_BRANCHES = 2.0**62
 _MAX_MAGNITUDE = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
 _MANY = 32  # poses that justify a program
 _CLOSE_BY = 1e-2  # steps from home that programs of imprecise loops must find [characteristic lengths, rad]
@@ -288,7 +289,9 @@ class Robot(PlacedMechanism):
             transforms[missing] = np.nan
         branch: NDArray[np.int64] | None = None
         if "branch" in outputs:
-            branch = np.where(missing, 0, outputs["branch"]).astype(np.int64)
+            # of large robots it has more bits than an integer: such branches are not told apart, but are not home's
+            numbers = np.where(missing, 0.0, outputs["branch"])
+            branch = np.where(np.abs(numbers) < _MOST_BRANCHES, numbers, _MOST_BRANCHES).astype(np.int64)
             if self.prototype is not self:
                 with suppress(PM3DofError):  # without a home of its own, its prototype's is the reference
                     branch ^= np.int64(checks.named(start_of(self)[None])["branch"][0])

@@ -163,7 +163,7 @@ def eliminate(
         for c in changed:
             front = fronts[c] = [i for i in active if not is_zero(rows[i][c])]
             lengths = _lengths([rows[i][c] for i in front])
-            if not front or not np.nanmax(lengths) > ZERO * largest:
+            if not front or not np.fmax.reduce(lengths) > ZERO * largest:
                 doubt.drop([rows[i][c] for i in front])
                 for i in front:
                     rows[i][c] = 0.0

@@ -171,3 +171,11 @@ def test_values_complete_in_the_shell() -> None:
     assert completion.coordinates(context, "") == ["theta_x", "theta_y", "z_e"]
     context.params["robot"] = "nobody"
     assert completion.coordinates(context, "") == completion.configurations(context, "") == []
+
+
+def test_a_zero_with_rounding_has_no_unit(run: Run) -> None:
+    """The cosine of a right angle in floating point is no angle that may have been meant in radians."""
+    rounded = math.cos(math.pi / 2.0)
+    assert 0.0 < rounded < 1e-15
+    assert "radians" not in run("ik", "--robot", "hexapod", "0", "0", "0", repr(rounded), "0", "0").stderr
+    assert "radians" in run("ik", "--robot", "hexapod", "0", "0", "0", "0.01", "0", "0").stderr

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 import pm3dof_pin as pm
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes
+from pm3dof_pin.cli.kinematics import _completeness
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.assembly_modes import AssemblyModes, assembly_modes
 
@@ -191,3 +192,19 @@ def test_too_many_isolated_modes_are_not_a_free_motion(tmp_path: Path) -> None:
     loose = robot.replace(actuated_joints=robot.actuated_joints[:9], commands=robot.commands[:9])
     with pytest.raises(SingularConfigurationError, match="with these at rest the robot can move"):
         assembly_modes(loose, loose.home.commands)
+
+
+@pytest.mark.parametrize(
+    ("counts", "more", "words"),
+    [
+        ((0,), False, "none of 64 random starts closes the loops, so that nothing is known of others"),
+        ((0, 1, 1), True, "from 64 random starts, and home's, which none of these met; there are more"),
+        ((0, 40, 24), False, "2 assembly modes from 64 random starts, and home's, which none of these met; others"),
+        ((32, 32), False, "2 assembly modes from 64 random starts, each met at least 5 times"),
+    ],
+)
+def test_what_is_said_of_modes_not_met(counts: tuple[int, ...], more: bool, words: str) -> None:
+    """Home's mode is known without a start, and is not one that starts have met."""
+    modes = AssemblyModes(poses=None, counts=counts, starts=64, from_home=True, more=more)  # type: ignore[arg-type]
+    assert words in _completeness(modes)
+    assert "0 times" not in _completeness(modes)
