@@ -195,11 +195,45 @@ class ToolCapability:
 
         Negative where one of the wrenches cannot be held. With redundant drives, internal forces are chosen best.
 
+        Of drives whose set of wrenches has too many facets, each wrench is a linear program of its own, by HiGHS.
+
         Args:
             wrenches: wrenches [f; m] of the tool on its environment, shape=(6,) or (k, 6) [N, N m].
+
+        Raises:
+            InvalidValueError: the effort of a drive is not described.
         """
         rows = np.atleast_2d(np.asarray(wrenches, dtype=float))
-        return np.asarray(np.min([self.wrenches.share_left(wrench) for wrench in rows], axis=0))
+        if pairs_of_facets(len(self.drives), self.drive_rates.shape[-1]) <= MOST_FACETS:
+            return np.asarray(np.min([self.wrenches.share_left(wrench) for wrench in rows], axis=0))
+        _require_known("effort", self.drives, self.effort)
+        batch = self.tool_rates.shape[:-2]
+        loads = self.weight[..., None, :] + np.einsum("...tn,kt->...kn", self.tool_rates, rows)
+        found = [
+            min(1.0 - self._least_share(self.drive_rates[k], load) for load in loads[k]) for k in np.ndindex(batch)
+        ]
+        return np.array(found).reshape(batch)
+
+    def _least_share(self, drive_rates: Matrix, load: Vector) -> float:
+        """Return the least share of all efforts with which efforts t of all drives give A^T t = load."""
+        from scipy.optimize import linprog
+
+        if not np.isfinite([*load, *drive_rates.ravel()]).all():
+            return math.nan
+        count, size = len(self.drives), float(np.linalg.norm(load)) or 1.0
+        one, last = np.eye(count), -np.ones((count, 1))
+        best = linprog(
+            [0.0] * count + [1.0],
+            A_ub=np.block([[one, last], [-one, last]]),
+            b_ub=np.zeros(2 * count),
+            A_eq=np.hstack([drive_rates.T * (self.effort / size), np.zeros((len(load), 1))]),
+            b_eq=load / size,
+            bounds=(None, None),
+            method="highs",
+        )
+        if best.status != 0:
+            raise ConvergenceError("the linear program of a wrench", math.nan, "N", best.nit, best.message)
+        return float(best.x[-1])
 
 
 def tool_capability(

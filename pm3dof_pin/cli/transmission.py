@@ -58,8 +58,10 @@ def transmission(
     box = options.box(robot)
     at = options.at(place(robot, chosen))
     model = serial_model(box, **gains)
-    result = {"robot": robot.name} | _transmission_result(at, **gains) | _drive_gains_result(at, wanted)
-    result["box"] = _serial_model_result(model) | _drive_gains_over(box, wanted)
+    result: dict[str, Any] = {}
+    if as_json:  # vertices take long
+        result = {"robot": robot.name} | _transmission_result(at, **gains) | _drive_gains_result(at, wanted)
+        result["box"] = _serial_model_result(model) | _drive_gains_over(box, wanted)
     files = []
     if out is not None:
         functions = options.write_functions(robot, out)

@@ -38,6 +38,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Vector
 
 _POINTS = 21  # of each joint, unless that makes too many poses
+_FEWEST_POINTS = 3  # of each joint where facets are many: both ends and the middle
 _MAX_POSES = 30_000  # of a box by default
 _MAX_NUMBERS = 100_000_000  # of all poses of a box: under a gigabyte
 
@@ -160,11 +161,18 @@ class TransmissionOptions:
         others = [coordinate for coordinate in robot.coordinates if coordinate.name not in given]
         most = _MAX_POSES / max(1, math.prod(given.values()))
         points = min(_POINTS, max(2, math.floor(most ** (1.0 / len(others)) + 1e-9))) if others else 0
+        drives, joints = len(robot.actuated_joints), len(robot.coordinates)
+        # three polytopes are kept, each with two facets a pair, and a fourth one is made
+        of_facets = pairs_of_facets(drives, joints) * (6 * (joints + 1) + drives + 3 * joints)
+        most = _MAX_NUMBERS / (robot.model.nq + drives * joints**2 + of_facets)
+        while points > _FEWEST_POINTS and math.prod(given.values()) * points ** len(others) > most:
+            points -= 1
         count = math.prod(given.values()) * points ** len(others)
-        if count * (robot.model.nq + len(robot.actuated_joints) * len(robot.coordinates) ** 2) > _MAX_NUMBERS:
+        if count > most:
             raise typer.BadParameter(
-                f"a box of {count:,} poses of {len(robot.coordinates)} joints is too large: name fewer with --joints, "
-                "or give --over smaller counts"
+                f"{robot.name}: a box of {count:,} poses of {joints} joints and {drives} drives is too large, at most "
+                f"{math.floor(most):,} can be computed: name fewer joints with --joints, hold some with --hold, take "
+                "one part of the robot with --subtree LINK, or give --over smaller counts"
             )
         ranges = [*(self.over or ()), *declared_ranges(robot, others, [points] * len(others))]
         order = [coordinate.name for coordinate in robot.coordinates]

@@ -78,7 +78,7 @@ def section_map(
     `meshes` keeps the triangles from one picture of a section and its limits for the next ones.
 
     Raises:
-        InvalidValueError: no such variable, other dimensions, or fewer than three values to draw.
+        InvalidValueError: no such variable, other dimensions, fewer than three values to draw, or no area of them.
     """
     sheet = _sheet(section, variable, entry, within, exact, {} if meshes is None else meshes)
     with house_style():
@@ -161,6 +161,12 @@ def _sheet(
     if (key := known.tobytes()) not in meshes:
         meshes[key] = outlined_mesh(axes[0], axes[1], known, within, excluded)
     mesh = meshes[key]
+    if not len(mesh.triangles):
+        raise InvalidValueError(
+            name,
+            problem=f"has {known.sum()} values within the limits, which span no area",
+            expected="poses beside each other along both coordinates: a finer grid, or one nearer to home",
+        )
     heights = mesh.values(values)
     if exact is not None:
         found = exact(mesh.points)

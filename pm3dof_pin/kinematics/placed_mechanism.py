@@ -213,6 +213,11 @@ class PlacedMechanism(Mechanism):
                 pass  # the loops do not close: the solvers report it
         return list(range(len(self.commands)))
 
+    @property
+    def placing_commands(self) -> tuple[Coordinate, ...]:
+        """The commands of :attr:`placing_drives`, as coordinates."""
+        return tuple(self.command_coordinates[k] for k in self.placing_drives)
+
     def has_null_motions(self, coordinates: Sequence[Coordinate]) -> bool:
         """Return whether the drives can move while coordinates of the tool stay, so that poses there are many.
 

@@ -13,8 +13,8 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges, require_quick_poses
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.mobility import instantaneous_mobility
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reference import Reference
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.typing import Array, Mask
@@ -40,10 +40,10 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
     """Draw poses within all limits, uniformly over the coordinates.
 
     Where the coordinates have no ranges or do not determine the drives, or limits exclude nearly all of them (six
-    degrees of freedom with short struts), poses are drawn uniformly over the commands instead. Where limits exclude
-    nearly all of these too, as with many drives, poses are those of random walks from home that turn back at limits: in
-    the long run uniform over the commands, too, or over the coordinates if the commands depend on each other. None are
-    so near to singular poses that Newton's method does not converge.
+    degrees of freedom with short struts), poses are drawn uniformly over the commands of independent drives instead.
+    Where limits exclude nearly all of these too, as with many drives, poses are those of random walks from home that
+    turn back at limits: in the long run uniform over these commands, too. None are so near to singular poses that
+    Newton's method does not converge.
 
     Example:
         >>> import numpy as np
@@ -72,7 +72,7 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
         raise UnreachablePoseError(f"{robot.name}: has no coordinates, since it has no actuated joints")
     require_quick_poses(robot, "random poses")
     for by_commands in (False, True):
-        if not (robot.command_coordinates if by_commands else _has_ranges(robot)):
+        if not (robot.placing_commands if by_commands else _has_ranges(robot)):
             continue
         draws = _Draws.kept(robot, by_commands, margin)
         found = draws.within_limits(_TRIAL, generator)
@@ -102,7 +102,7 @@ def _walked(robot: Robot, count: int, generator: np.random.Generator, margin: fl
     other step of half of the walks is the difference of two of the others, as long in each direction as there is room
     (C. ter Braak, Statistics and Computing 16, 2006).
     """
-    draws = _Draws.kept(robot, _drives_are_independent(robot), margin)
+    draws = _Draws.kept(robot, bool(robot.placing_commands), margin)
     size, width, halves = len(draws.lower), draws.upper - draws.lower, np.split(np.arange(_WALKERS), 2)
     q, values = np.tile(robot.home.q, (_WALKERS, 1)), np.tile(draws.home, (_WALKERS, 1))
     length, taken, poses = 1.0 / np.sqrt(size), 0, np.zeros((0, q.shape[1]))
@@ -130,24 +130,18 @@ def _walked(robot: Robot, count: int, generator: np.random.Generator, margin: fl
     return poses[:count]
 
 
-def _drives_are_independent(robot: Robot) -> bool:
-    return not robot.has_loops or instantaneous_mobility(robot.home).count >= len(robot.command_coordinates) > 0
-
-
 def _has_ranges(robot: Robot) -> bool:
-    """Return whether to draw coordinates: they determine the drives, and have ranges, or the drives are dependent."""
-    if len(robot.coordinates) < len(robot.command_coordinates) and _drives_are_independent(robot):
-        return False
-    if all(c.joint is not None or np.isfinite(robot.range_of(c)).all() for c in robot.coordinates):
-        return True
-    return bool(robot.closures) and len(robot.coordinates) < len(robot.command_coordinates)
+    """Return whether to draw coordinates: they determine the drives, and have ranges."""
+    return len(robot.coordinates) >= len(robot.placing_drives) and all(
+        c.joint is not None or np.isfinite(robot.range_of(c)).all() for c in robot.coordinates
+    )
 
 
 class _Draws:
     """Uniform random values of coordinates or commands in a box, and the poses there.
 
-    Many draws are walked to from the centres of cells. A cell is skipped if neither its centre nor any neighbour's is
-    within limits: the part within limits is then smaller than a cell.
+    Many draws are walked to from the centres of cells. Where the part within limits holds so many centres that it is
+    wider than a cell, a cell is skipped if neither its centre nor any neighbour's is within limits.
     """
 
     def __init__(self, robot: Robot, coordinates: tuple[Coordinate, ...], lower: Array, upper: Array) -> None:
@@ -160,7 +154,7 @@ class _Draws:
         """Return the draws over all ranges of a robot; cached with it, since their cells take long to compute."""
         kept: dict[tuple[bool, float], _Draws] = vars(robot).setdefault(_KEPT, {})
         if (by_commands, margin) not in kept:
-            coordinates = robot.command_coordinates if by_commands else robot.coordinates
+            coordinates = robot.placing_commands if by_commands else robot.coordinates
             # declared ranges are for maps; what joints can reach beyond is reachable too
             whole = tuple(c if c.joint is None else replace(c, lower=None, upper=None) for c in coordinates)
             lower, upper = coordinate_ranges(robot, whole)
@@ -172,7 +166,9 @@ class _Draws:
     def home(self) -> Array:
         """The values at home."""
         robot = self._robot
-        return robot.home_coordinates if self._coordinates == robot.coordinates else robot.home.commands
+        if self._coordinates == robot.coordinates:
+            return robot.home_coordinates
+        return np.asarray(robot.read(self._coordinates, robot.home.q))
 
     def solved(self, values: Array, starts: Array) -> tuple[Array, Mask]:
         """Return the poses at values, walked to from starts, shape=(n, nq), and which are within all limits."""
@@ -190,7 +186,7 @@ class _Draws:
         A lattice of commands gives the coordinates that are reached with a neighbour within limits. The box exceeds
         these by the largest steps between neighbours: twice the difference within a cell, if nearly linear.
         """
-        commands = self._robot.command_coordinates
+        commands = self._robot.placing_commands
         count = round(_LATTICE ** (1.0 / max(len(commands), 1)))
         if not commands or count < 2:
             return self, 1.0
@@ -233,21 +229,22 @@ class _Draws:
         }
         q, is_within = _solved(self._robot, self._coordinates, Grid(self._coordinates, axes, {}).values)
         starts = np.where(np.isnan(q[..., :1]), self._robot.home.q, q)
-        return starts, _with_neighbours(is_within)
+        is_wide = is_within.sum() >= 2**is_within.ndim
+        return starts, _with_neighbours(is_within) if is_wide else np.ones_like(is_within)
 
 
 def _solved(
     robot: Robot, coordinates: tuple[Coordinate, ...], values: Array, starts: Array | None = None
 ) -> tuple[Array, Mask]:
     """Return the poses at values of coordinates, NaN if unsolved, and which are within all limits."""
+    shape, rows = values.shape[:-1], values.reshape(-1, values.shape[-1])
     solver = robot.continuation(coordinates)
     if solver is None:
-        solve = robot.solve if coordinates == robot.coordinates else robot.forward
-        poses = solve(values, guess=starts, on_failure="nan")
+        poses = Poses(robot, Reference(robot, coordinates).walk(rows, starts).q.reshape(*shape, robot.model.nq))
         return poses.q, poses.within_limits
-    found = solver.walk(values.reshape(-1, values.shape[-1]), starts, thorough=False)
+    found = solver.walk(rows, starts, thorough=False)
     assert found.broken_limits is not None
-    return found.q.reshape(*values.shape[:-1], -1), (found.broken_limits == 0).reshape(values.shape[:-1])
+    return found.q.reshape(*shape, robot.model.nq), (found.broken_limits == 0).reshape(shape)
 
 
 def _with_neighbours(mask: Mask) -> Mask:

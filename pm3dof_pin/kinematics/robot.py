@@ -507,8 +507,13 @@ class Robot(PlacedMechanism):
     def _shared_commands(self, engine: Engine) -> SharedCommands:
         """Return what finds poses at the commands of all drives."""
         if engine not in self._shared:
-            finder = self._finder(self.coordinates, engine)
-            self._shared[engine] = SharedCommands(self, finder, lambda q: self.at(q).coordinates)
+            determine = len(self.coordinates) == len(self.placing_drives)
+            coordinates = self.coordinates if determine else self.placing_commands
+
+            def read(q: Matrix) -> Matrix:
+                return self.at(q).coordinates if determine else np.asarray(self.read(coordinates, q))
+
+            self._shared[engine] = SharedCommands(self, self._finder(coordinates, engine), coordinates, read)
         return self._shared[engine]
 
     def agreeing(self, q: Matrix, commands: Matrix) -> Matrix:

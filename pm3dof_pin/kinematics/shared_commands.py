@@ -2,7 +2,8 @@
 
 Commands of such drives agree only up to the machine's errors. The pose is then where they are met by least squares, in
 joint units (radians, characteristic lengths): there equally stiff drives would hold it, with internal forces of least
-norm. It is sought over the coordinates, in which no choice of drives can be singular.
+norm. It is sought over the coordinates, in which no choice of drives can be singular; or, where these do not determine
+the pose, over the commands of independent drives.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.kinematics.pose_search import Solver
 from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales
@@ -43,14 +45,21 @@ class SharedCommands:
 
     Args:
         robot: the robot.
-        solver: finds poses at its coordinates.
-        coordinates: function of configurations, shape=(n, nq), that returns its coordinates there, shape=(n, k).
+        solver: finds poses at the coordinates.
+        coordinates: as many as the robot has degrees of freedom.
+        read: function of configurations, shape=(n, nq), that returns the coordinates there, shape=(n, k).
     """
 
-    def __init__(self, robot: PlacedMechanism, solver: Solver, coordinates: Callable[[Matrix], Matrix]) -> None:
-        self._robot, self._solver, self._coordinates = robot, solver, coordinates
+    def __init__(
+        self,
+        robot: PlacedMechanism,
+        solver: Solver,
+        coordinates: tuple[Coordinate, ...],
+        read: Callable[[Matrix], Matrix],
+    ) -> None:
+        self._robot, self._solver, self._coordinates = robot, solver, read
         self._scales = coordinate_scales(robot, robot.command_coordinates)
-        self._units = coordinate_scales(robot, robot.coordinates)
+        self._units = coordinate_scales(robot, coordinates)
         self._tolerated = AGREEING  #: greatest difference that needs no warning, twice what was told
 
     def differences(self, q: Matrix, commands: Matrix) -> Matrix:
@@ -80,13 +89,12 @@ class SharedCommands:
         """
         robot, every = self._robot, np.arange(len(commands))
         described, is_guessed = robot.prototype is robot, starts is not None
-        can_fit = len(robot.coordinates) == len(robot.placing_drives)
         # of a machine with errors near its guess, only where least squares fail from there
-        later = can_fit and is_guessed and not described
+        later = is_guessed and not described
         alone = np.full((len(every), robot.model.nq), np.nan) if later else placed(every)
         off = self._off(alone, commands)
         rows = np.flatnonzero(~(off <= SOLVED) & np.isfinite(commands).all(axis=1))
-        if not rows.size or not can_fit:
+        if not rows.size:
             return self.agreeing(alone, commands)
         answer, off = np.where((off <= SOLVED)[:, None], alone, np.nan), np.where(off <= SOLVED, off, np.inf)
         enough, most = (AGREEING, _CONTRADICTION) if described else (_OF_ERRORS, _OF_ERRORS)

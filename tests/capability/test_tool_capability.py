@@ -69,10 +69,16 @@ def test_linear_programs_give_what_polytopes_do(monkeypatch: pytest.MonkeyPatch)
     weak = pm.tool_capability(robot, poses, effort=0.0)
     directions = [*np.eye(6), -np.eye(6)[0], *np.random.default_rng(1).normal(size=(2, 6))]
     expected = [[own.greatest_wrench(direction) for direction in directions] for own in (at, weak)]
+    left = [at.effort_left(100.0 * np.array(directions)), at.effort_left(directions[-1])]
     monkeypatch.setattr("pm3dof_pin.capability.tool_capability.MOST_FACETS", 0)
     found = [[own.greatest_wrench(direction) for direction in directions] for own in (at, weak)]
     np.testing.assert_allclose(found, expected, rtol=1e-8)
     assert np.isinf(found[0]).any()
+    np.testing.assert_allclose(
+        [at.effort_left(100.0 * np.array(directions)), at.effort_left(directions[-1])], left, atol=1e-8
+    )
+    assert (left[0] < 0.0).all()
+    assert (left[1] > 0.0).all()
 
 
 def test_the_share_left_is_that_of_the_most_loaded_drive() -> None:

@@ -12,11 +12,12 @@ from scipy.stats import ks_2samp
 
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
-from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.reachable_poses import _Draws, reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Engine
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
-from families import stacked
+from families import legs, stacked
 
 
 def test_a_block_has_no_poses_to_choose_from(tmp_path: Path) -> None:
@@ -59,6 +60,44 @@ def test_stacked_hexapods_use_all_their_drives(tmp_path: Path) -> None:
         found = reachable_poses(robot, 64, np.random.default_rng(0))
         assert found.within_limits.all()
         assert (np.ptp(found.commands, axis=0) > 0.06).all()  # of 0.1
+
+
+def test_a_round_without_a_draw_near_limits_finds_none(tmp_path: Path) -> None:
+    robot = Robot.load(legs(8).write(tmp_path))
+    found = _Draws.kept(robot, by_commands=False, margin=0.0).within_limits(0, np.random.default_rng(0))
+    assert found.shape == (0, robot.model.nq)
+
+
+def _platform_below_an_axis(folder: Path) -> Path:
+    """Write a plate on four arms, as in the tests' machines, with a driven axis across on it."""
+    source = Path(__file__).parents[1] / "machines" / "four_rrr"
+    axis = (
+        '<link name="hand"/><joint name="m4" type="revolute"><parent link="tool"/><child link="hand"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        '<link name="tip"/><joint name="tip" type="fixed"><parent link="hand"/><child link="tip"/>'
+        '<origin xyz="0.1 0 0"/></joint></robot>'
+    )
+    text = (source / "four_rrr.closures.yaml").read_text()
+    text = text.replace("m3]", "m3,m4]").replace("tool_frame: tool", "tool_frame: tip")
+    (folder / "four_rrr.closures.yaml").write_text(text)
+    path = folder / "four_rrr.urdf"
+    path.write_text((source / "four_rrr.urdf").read_text().replace("</robot>", axis))
+    return path
+
+
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+def test_more_legs_than_freedoms_below_an_axis(tmp_path: Path, engine: Engine) -> None:
+    """Six coordinates do not determine the pose, nor do random lengths of four legs of a plane belong together.
+
+    Commands read at its poses lead back to them; those that contradict each other by 1e-5 are met by least squares.
+    """
+    robot = Robot.load(_platform_below_an_axis(tmp_path), engine=engine)
+    assert len(robot.placing_drives) == 4 < len(robot.commands)
+    found = reachable_poses(robot, 20, np.random.default_rng(0))
+    assert len(found) == 20
+    assert found.within_limits.all()
+    again = robot.forward(found.commands + 1e-5 * np.eye(len(robot.commands))[0])
+    np.testing.assert_allclose(again.commands, found.commands, atol=2e-5)
 
 
 def test_walks_are_even_along_a_narrow_strip(tmp_path: Path) -> None:
