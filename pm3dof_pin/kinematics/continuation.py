@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.exceptions import PM3DofError, ProgramError
 from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
@@ -89,8 +89,11 @@ class Continuation:
         return len(self._step.compiled.program.codes)
 
     @cached_property
-    def _damped_step(self) -> BoundProgram:
-        return self._source.damped_step(self._robot, self._task)
+    def _damped_step(self) -> BoundProgram | None:
+        """None if it is too long to be compiled: then the solver on Pinocchio's Jacobians takes its place."""
+        with suppress(ProgramError):
+            return self._source.damped_step(self._robot, self._task)
+        return None
 
     @cached_property
     def _sides(self) -> BoundProgram | None:
@@ -217,18 +220,22 @@ class Continuation:
 
         NaN where these do not close the loops. Shapes (n, nq) and (n, number of coordinates) [m, rad].
         """
+        if self._damped_step is None:
+            return self._damped(starts, targets)
         q, _ = self._damped_ends(starts, self._given_numbers(targets))
         closed = self._residuals(q, targets) <= self._robot.closure_tolerance
         return np.where(closed[:, None], q, np.nan)
 
     def _damped_ends(self, q: Matrix, numbers: Matrix) -> tuple[Matrix, Mask]:
         """Take damped steps until the error no longer falls, then Newton steps; return q, and where it still falls."""
-        nq = self._nq
+        nq, step = self._nq, self._damped_step
+        if step is None:
+            return np.array(q), np.ones(len(q), dtype=bool)
         inputs = np.hstack([q, q, np.tile([_DAMPING, np.inf], (len(q), 1)), numbers])
         rows = np.arange(len(q))
         for _ in range(_DAMPED_ROUNDS):
             before = inputs[rows, 2 * nq + 1]
-            states, residuals = self._damped_step.iterate(inputs[rows], NEARLY_CLOSED, _DAMPED_STEPS)
+            states, residuals = step.iterate(inputs[rows], NEARLY_CLOSED, _DAMPED_STEPS)
             inputs[rows, : 2 * nq + 2] = states
             rows = rows[(residuals > NEARLY_CLOSED) & (states[:, 2 * nq + 1] < _AT_REST * before)]
             if not rows.size:

@@ -315,6 +315,8 @@ def _minor(
     """
     if not systems or any(system.rows is None for system in systems):
         return []
+    if list(drives) == [held[k] for k in given if k < len(held)]:  # the quantities are the drives, and the minor is 1
+        return []
     columns = [held[k] for k in given if k < len(held) and held[k] not in drives]
     columns += [k for system in systems for k in system.unknowns if k not in drives]
     tool = [k for k in given if k >= len(held)]
