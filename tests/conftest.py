@@ -324,6 +324,40 @@ def four_bar(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def six_rods(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six arms on motors of the base carry a platform by rods that are closures of type "distance", 0.33 m long."""
+    tag = '<link name="{1}"/><joint name="{2}" type="{3}"><parent link="{0}"/><child link="{1}"/>{4}</joint>'
+    text, limit = '<robot name="six_rods"><link name="base"/>', '<limit lower="-0.6" upper="0.6"/>'
+    carrier, place = "base", '<origin xyz="0 0 0.25"/>'
+    for joint, kind, axis in zip(
+        ("x", "y", "z", "rx", "ry", "rz"),
+        3 * ["prismatic"] + 3 * ["revolute"],
+        2 * ["1 0 0", "0 1 0", "0 0 1"],
+        strict=True,
+    ):
+        link = "platform" if joint == "rz" else f"{joint}_link"
+        text += tag.format(carrier, link, joint, kind, f'{place}<axis xyz="{axis}"/>{limit}')
+        carrier, place = link, ""
+    lengths = []
+    for k, (foot, ball) in enumerate(np.radians([[-15, -50], [15, 50], [105, 70], [135, 170], [225, 190], [255, 290]])):
+        base, out = np.array([0.2 * np.cos(foot), 0.2 * np.sin(foot), 0.0]), np.array([np.cos(foot), np.sin(foot), 0.0])
+        end = np.array([0.1 * np.cos(ball), 0.1 * np.sin(ball), 0.0])
+        lengths.append(float(np.linalg.norm(end - base - 0.1 * out + (0.0, 0.0, 0.25))))
+        numbers = ['xyz="{} {} {}"'.format(*map(repr, vector.tolist())) for vector in (base, end)]
+        turned = f'<origin {numbers[0]} rpy="{np.pi / 2} 0 {float(foot)!r}"/><axis xyz="0 0 1"/>{limit}'
+        text += tag.format("base", f"arm{k}", f"m{k}", "revolute", turned)
+        text += tag.format(f"arm{k}", f"tip{k}", f"tip{k}_fixed", "fixed", '<origin xyz="0.1 0 0"/>')
+        text += tag.format("platform", f"ball{k}", f"ball{k}_fixed", "fixed", f"<origin {numbers[1]}/>")
+    path = tmp_path_factory.mktemp("six_rods") / "six_rods.urdf"
+    path.write_text(text + "</robot>")
+    path.with_suffix(".closures.yaml").write_text(
+        f"closed_loop: [{', '.join(f'[tip{k}, ball{k}]' for k in range(6))}]\ntype: [{', '.join(6 * ['distance'])}]\n"
+        f"closure_lengths: {lengths}\nname_mot: [m0, m1, m2, m3, m4, m5]\ntool_frame: platform\n"
+    )
+    return path
+
+
+@pytest.fixture(scope="session")
 def serial_arm() -> Robot:
     """A UR5, without description files of its own."""
     import example_robot_data

@@ -42,7 +42,8 @@ def _calibrated_urdf(errors: GeometricErrors, values: ArrayLike | Mapping[str, f
     path = Path(urdf)
     robot = read_xml(path)
     for place, displacement in errors.displacements(values).items():
-        _displace(path, robot, place, displacement)
+        if place not in errors.robot.rods:  # whose lengths are in the closures file
+            _displace(path, robot, place, displacement)
     ElementTree.indent(robot, "  ")
     banner = _BANNER.format(name=comment_text(robot.get("name", path.stem)), count=len(errors))
     return banner + ElementTree.tostring(robot, encoding="unicode") + "\n"
@@ -67,15 +68,19 @@ def write_calibrated_robot(
     """
     robot, folder = errors.robot, Path(directory)
     own = {name: getattr(robot, name) for name in ("actuated_joints", "commands", "springs", "tool_frame")}
+    own["closures"] = errors.apply(values).closures  # with rods of other lengths
     name = robot.name if robot.files is None else robot.files.name
     texts = urdf_files(replace(robot.description, **own))
     paths = {suffix: write_text_atomically(folder / f"{name}{suffix}", text) for suffix, text in texts.items()}
     target, closures, srdf = (paths.get(suffix) for suffix in (".urdf", CLOSURES_SUFFIX, ".srdf"))
     assert target is not None
     write_text_atomically(target, _calibrated_urdf(errors, values, target))
-    if stiffness and closures is not None:
+    if closures is not None and (stiffness or robot.rods):
         entries = read_mapping(closures)
-        entries["springs"] = stiffened_entries(entries.get("springs", ()), stiffness)
+        if stiffness:
+            entries["springs"] = stiffened_entries(entries.get("springs", ()), stiffness)
+        if robot.rods and "closed_loop" in entries:
+            entries["closure_lengths"] = [loop.length for loop in own["closures"]]
         write_text_atomically(closures, yaml_text(entries))
     if srdf is not None:
         write_text_atomically(srdf, _closed_again(srdf, Robot.load(target)))

@@ -56,6 +56,8 @@ def _is_plain_urdf(description: Description, *, floating: Floating = "any") -> b
         return False
     if with_simple_joints(description, floating=floating) is not description or description.frames:
         return False
+    if any(loop.length and loop.origin.path != description.files.closures for loop in description.closures):
+        return False  # a rod in the tree, whose length may be another than there
     names = {joint.get("name") for joint in description.files.read_tree().iter("joint")}
     return {joint.name for joint in description.joints} <= names
 

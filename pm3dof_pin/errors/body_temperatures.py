@@ -222,7 +222,7 @@ class BodyTemperatures:
     @cached_property
     def _places(self) -> dict[str, int]:
         """The joint of the body that each joint or frame at an end of it is on."""
-        places = {p.place for p in all_parameters(self.robot) if p.motion == "translation"}
+        places = {p.place for p in all_parameters(self.robot) if p.motion == "translation"} - self.robot.rods.keys()
         return {place: self._carrier(place) for place in sorted(places)}
 
     @cached_property

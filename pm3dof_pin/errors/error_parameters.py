@@ -32,20 +32,22 @@ LENGTH_TOLERANCE = 1e-4
 ANGLE_TOLERANCE = 5e-4
 """Default tolerance of an angle [rad]: 0.1 mm over 0.2 m."""
 
+_ALONG, _ROD_AXIS = "_along", (1.0, 0.0, 0.0)
 _NEARLY_PARALLEL = 0.99
 _UNIT = 1e-5  # greatest difference of an axis length from 1
 
 
 @dataclass(frozen=True)
 class GeometricParameter:
-    """One small displacement of a joint or frame from its described place.
+    """One small displacement of a joint or frame from its described place, or a change of the length of a rod.
 
-    Everything attached to the place moves with it. A displacement along (about) the axis of a prismatic (revolute)
-    joint is an offset of its coordinate: the actuator's zero.
+    A rod is a closure of type "distance": its name is the place, and its only error a translation along its x axis,
+    from the first frame to the second. Elsewhere, everything attached to the place moves with it. A displacement along
+    (about) the axis of a prismatic (revolute) joint is an offset of its coordinate: the actuator's zero.
     """
 
     name: str  #: its name, usually `place.tx` or `place.rz`
-    place: str  #: the joint or frame
+    place: str  #: the joint, frame or rod
     motion: Motion  #: "translation" or "rotation"
     axis: tuple[float, float, float]  #: unit vector in the place's own axes, those of its origin before the joint moves
     group: str  #: its class of parts: legs, platform, tool
@@ -119,9 +121,10 @@ class GeometricErrors:
         tolerances: of the parameters, shape=(number of parameters,) [m, rad].
 
     Raises:
-        InvalidValueError: two parameters share a name, an axis is not a unit vector, or a tolerance is not positive; or
-            a tied parameter has a displacement twice, or a factor that is 0 or not finite.
-        FrameNotFoundError: a place is neither a joint nor a frame of the robot.
+        InvalidValueError: two parameters share a name, an axis is not a unit vector, or a tolerance is not positive; an
+            error of a rod is not along it; or a tied parameter has a displacement twice, or a factor that is 0 or not
+            finite.
+        FrameNotFoundError: a place is neither a joint nor a frame of the robot, nor one of its rods.
     """
 
     def __init__(
@@ -140,7 +143,7 @@ class GeometricErrors:
         self.names = tuple(parameter.name for parameter in self.parameters)
         self.file = file
         self._index = {name: index for index, name in enumerate(self.names)}
-        _check(self.parameters)
+        _check(robot, self.parameters)
         self.tolerances = frozen(np.array([parameter.tolerance for parameter in self.parameters], dtype=float))
         actuated = len(robot.actuated_joints)
         bearings = np.zeros(actuated) if fixed_bearings is None else fixed_bearings
@@ -261,7 +264,7 @@ class GeometricErrors:
         return self.tolerances * unit
 
     def displacements(self, values: ArrayLike | Mapping[str, float]) -> dict[str, pin.SE3]:
-        """Return the displacement D of each place, in its own axes, ordered from the root."""
+        """Return the displacement D of each place, in its own axes, ordered from the root; rods last."""
         if self.components is not self:
             return self.components.displacements(self.combinations @ self.values(values))
         moves = np.zeros((2, len(self._places), 3))
@@ -304,14 +307,16 @@ class GeometricErrors:
         """Build a new robot with these errors; see :meth:`values` for their form and the errors raised."""
         nominal = self.robot
         model = nominal.model.copy()
-        hanging = self.components._hanging
+        hanging, lengthened = self.components._hanging, dict[str, float]()
         for place, displacement in self.displacements(values).items():
-            if place in hanging:
+            if place in nominal.rods:
+                lengthened[place] = float(displacement.translation[0])
+            elif place in hanging:
                 _displace_frames(model, hanging[place], displacement)
             else:
                 joint = model.getJointId(place)
                 model.jointPlacements[joint] = model.jointPlacements[joint] * displacement
-        return nominal.displaced(model)
+        return nominal.displaced(model, lengthened)
 
     @functools.cached_property
     def _hanging(self) -> dict[str, list[int]]:
@@ -320,7 +325,7 @@ class GeometricErrors:
         return {
             place: _frame_and_descendants(model, self.robot.frame_id(place))
             for place in self._places
-            if not model.existJointName(place)
+            if not (place in self.robot.rods or model.existJointName(place))
         }
 
     def _parameter(self, name: str) -> int:
@@ -346,11 +351,11 @@ def _components(errors: GeometricErrors) -> tuple[GeometricErrors, Matrix]:
 
 
 def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
-    """Return all error parameters: six for each joint and for the tool, and those of the closure points.
+    """Return all error parameters: six for each joint and for the tool, and those of closure points and rods.
 
-    A closure point (3d) has three, a closure frame (6d) six. A frame that is itself a moving link has none, nor has
-    a joint with six degrees of freedom. Classes: "legs" for joints that do not carry the tool, "tool_chain" for those
-    that do, "platform" for closure frames on them, "tool" for the tool frame.
+    A closure point (3d) has three, a closure frame (6d) six, a rod (distance) its length. A frame that is itself a
+    moving link has none, nor has a joint with six degrees of freedom. Classes: "legs" for rods and for joints that do
+    not carry the tool, "tool_chain" for those that do, "platform" for closure frames on them, "tool" for the tool.
     """
     model = robot.model
     carriers = set(model.supports[model.frames[robot.tool_frame_id].parentJoint]) if robot.tool_frame else set()
@@ -374,7 +379,8 @@ def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
                 on_tool_chain = model.frames[robot.frame_id(frame)].parentJoint in carriers - {0}
                 motions: Sequence[Motion] = ("translation", "rotation") if loop.kind.rotations else ("translation",)
                 add(frame, "platform" if on_tool_chain else "legs", motions)
-    return tuple(parameters.values())
+    lengths = [_parameter(rod, "translation", _ALONG, _ROD_AXIS, "legs", LENGTH_TOLERANCE) for rod in robot.rods]
+    return (*parameters.values(), *lengths)
 
 
 def displacement_errors(
@@ -424,7 +430,7 @@ def _axis_parameters(place: str, motion: Motion, group: str, tolerance: float) -
     return [_parameter(place, motion, axis, _unit_vector(axis), group, tolerance) for axis in AXES]
 
 
-def _check(parameters: Sequence[GeometricParameter | TiedParameter]) -> None:
+def _check(robot: Robot, parameters: Sequence[GeometricParameter | TiedParameter]) -> None:
     for name, count in Counter(parameter.name for parameter in parameters).items():
         if count > 1:
             raise InvalidValueError("geometric parameter", name, "each name once")
@@ -437,6 +443,10 @@ def _check(parameters: Sequence[GeometricParameter | TiedParameter]) -> None:
             for part, factor in parameter.parts:
                 if not (math.isfinite(factor) and factor != 0.0):
                     raise InvalidValueError(f"factor of {part.name} in {parameter.name}", factor, "finite and not 0")
+        for part in [part for part, _ in parameter.parts] if isinstance(parameter, TiedParameter) else [parameter]:
+            if part.place in robot.rods and (part.motion, part.axis) != ("translation", _ROD_AXIS):
+                expected = f"a translation along x, which is {part.place}.t{_ALONG}, as for every rod"
+                raise InvalidValueError(part.name, f"a {part.motion} of axis {part.axis}", expected)
         if not abs(math.hypot(*parameter.axis) - 1.0) <= _UNIT:
             raise InvalidValueError(f"axis of {parameter.name}", parameter.axis, "a unit vector")
         if not (np.isfinite(parameter.tolerance) and parameter.tolerance > 0.0):
@@ -489,12 +499,13 @@ def _parameters_of(robot: Robot, file: ErrorFile) -> list[GeometricParameter | T
 
 
 def _part(robot: Robot, name: str, tie: TiedEntry, file: ErrorFile) -> GeometricParameter:
-    """Return the displacement that a tie names: joint.tx, frame.ry, joint.t_along, joint.r_across2."""
+    """Return the displacement that a tie names: joint.tx, frame.ry, joint.t_along, joint.r_across2, rod.t_along."""
     place, _, label = name.rpartition(".")
     motion: Motion = "rotation" if label[:1] == "r" else "translation"
     word = label[1:].strip("_12")
     if label[:1] in ("t", "r") and word in (*AXES, "along", "across"):
-        placement_on_body(robot, place)
+        if place not in robot.rods:
+            placement_on_body(robot, place)
         for found, axis in _directions(robot, place, word, file):
             if found == label[1:]:
                 return _parameter(place, motion, found, axis, tie.group, tie.tolerance)
@@ -504,12 +515,16 @@ def _part(robot: Robot, name: str, tie: TiedEntry, file: ErrorFile) -> Geometric
 
 def _directions(robot: Robot, place: str, word: str, file: ErrorFile) -> list[tuple[str, tuple[float, float, float]]]:
     """Return the directions that a word of the file means, with their labels."""
+    if place in robot.rods:
+        if word != "along":
+            raise DescriptionError(file.path, f"errors of {place}", f"expected translation: along, not '{word}'")
+        return [(_ALONG, _ROD_AXIS)]
     if word in AXES:
         return [(word, _unit_vector(word))]
     if not robot.model.existJointName(place):
         raise JointNotFoundError(place, f"{file.path}: '{word}'", list(robot.model.names)[1:])
     if word == "along":
-        return [("_along", _as_tuple(robot.joint_axis(place)))]
+        return [(_ALONG, _as_tuple(robot.joint_axis(place)))]
     return [(f"_across{k}", direction) for k, direction in enumerate(_across_directions(robot, place), start=1)]
 
 
@@ -557,6 +572,8 @@ def _is_fixed_to_body(robot: Robot, frame: str) -> bool:
 def _moved_by(mechanism: Mechanism, place: str) -> tuple[set[int], set[int]]:
     """Return the joints and frames, by index, that move with a place; all frames on these joints also move."""
     model = mechanism.model
+    if place in mechanism.rods:
+        return set(), set()
     frames = [] if model.existJointName(place) else _frame_and_descendants(model, mechanism.frame_id(place))
     roots = {model.frames[f].parentJoint for f in frames if model.frames[f].type == pin.FrameType.JOINT}
     if model.existJointName(place):
@@ -589,7 +606,9 @@ def _places_in_order(robot: Robot, places: set[str]) -> tuple[str, ...]:
     """Order places so that each is displaced before those attached to it."""
     model = robot.model
 
-    def key(place: str) -> tuple[bool, int]:
+    def key(place: str) -> tuple[int, int]:
+        if place in robot.rods:
+            return 2, robot.rods[place]
         is_frame = not model.existJointName(place)
         return is_frame, robot.frame_id(place) if is_frame else model.getJointId(place)
 

@@ -137,6 +137,8 @@ def _independent(effects: Matrix, rounds: Iterable[tuple[Sequence[int], float, f
 def kind_of(robot: Robot, parameter: GeometricParameter | TiedParameter) -> Kind:
     """Tell what a displacement is of a machine: the zero of a drive, a length, a direction."""
     model, place = robot.model, parameter.place
+    if place in robot.rods:
+        return "length"
     axis = np.array(parameter.axis)
     is_joint = model.existJointName(place)
     if is_joint and place in robot.actuated_joints:

@@ -42,7 +42,8 @@ _SIGMAS = 2.0  # standard deviations in a permissible deviation
 def with_process(errors: GeometricErrors, process: Process) -> GeometricErrors:
     """Return the errors with tolerances of parts made to a class of ISO 2768-1, by the size of each part.
 
-    A part is a body of the robot; its size is the distance from its joint to the farthest place on it. Zeros of drives
+    A part is a body of the robot; its size is the distance from its joint to the farthest place on it. A rod that is a
+    closure is a part as well, as long as it is. Zeros of drives
     and tied parameters are not of one part, and keep their tolerances.
 
     Raises:
@@ -68,6 +69,8 @@ def with_process(errors: GeometricErrors, process: Process) -> GeometricErrors:
 def _part_size(robot: Robot, place: str) -> float:
     """Return the distance from a body's joint to the farthest place on it, for the body that carries a place [m]."""
     model = robot.model
+    if place in robot.rods:
+        return robot.closures[robot.rods[place]].length or 0.0
     if model.existJointName(place):
         body = model.parents[model.getJointId(place)]
     else:

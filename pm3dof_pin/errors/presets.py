@@ -124,15 +124,16 @@ def _firmware(robot: Robot, count: int) -> tuple[TiedEntry, ...]:
 
 def _arms(robot: Robot) -> list[list[tuple[str, float]]]:
     """Return the displacements that lengthen the rods of each drive."""
-    model, found = robot.model, []
+    model, found = robot.model, list[list[tuple[str, float]]]()
     lengths = [
         p
         for p in all_parameters(robot)
         if p.group == "legs" and not model.existJointName(p.place) and kind_of(robot, p) == "length"
+        if p.place in robot.rods or not robot.rods
     ]
     for drive in robot.actuated_joints:
         carried = model.subtrees[model.getJointId(drive)]
-        own = [p for p in lengths if model.frames[robot.frame_id(p.place)].parentJoint in carried]
+        own = [p for p in lengths if any(model.frames[k].parentJoint in carried for k in _ends(robot, p.place))]
         signs = [float(np.sign(np.array(p.axis) @ _offset(robot, p.place))) for p in own]
         if not own:
             raise InvalidValueError("preset", "firmware-delta", f"rods that end in a closure; {drive} has none")
@@ -140,7 +141,15 @@ def _arms(robot: Robot) -> list[list[tuple[str, float]]]:
     return found
 
 
+def _ends(robot: Robot, place: str) -> list[int]:
+    """Return a frame, or both frames of a rod, by index."""
+    loop = robot.closures[robot.rods[place]] if place in robot.rods else None
+    return [robot.frame_id(name) for name in ([place] if loop is None else [loop.frame_a, loop.frame_b])]
+
+
 def _offset(robot: Robot, frame: str) -> Vector:
+    if frame in robot.rods:
+        return np.array([1.0, 0.0, 0.0])
     placement = robot.model.frames[robot.frame_id(frame)].placement
     return np.asarray(placement.rotation.T @ placement.translation)
 

@@ -244,6 +244,10 @@ class _Loops:
         self._robot = poses.robot
         self._model = poses.robot.model
         self._q = poses.q
+        self._lengths: dict[str, list[int]] = {}  # columns of the errors of each rod
+        for k, parameter in enumerate(errors.parameters, start=self._model.nv):
+            if parameter.place in errors.robot.rods:
+                self._lengths.setdefault(parameter.place, []).append(k)
         self._joints, twists = _tree(self._model, poses.q, self._carriers())
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
 
@@ -389,8 +393,10 @@ class _Loops:
         columns: dict[str, list[int]] = {}
         for k, parameter in enumerate(self._errors.parameters):
             columns.setdefault(parameter.place, []).append(k)
-        twists = np.empty((len(self._joints), 6, len(self._errors)))
+        twists = np.zeros((len(self._joints), 6, len(self._errors)))
         for place, own in columns.items():
+            if place in self._errors.robot.rods:
+                continue
             at = self._place(place)
             linear, angular = at[:, :3, :3] @ local[:3, own], at[:, :3, :3] @ local[3:, own]
             twists[:, :3, own] = linear + _crossed(at[:, :3, 3, None], angular)
@@ -399,7 +405,7 @@ class _Loops:
 
     def _carriers(self) -> list[int]:
         """Return the joints that carry closures, tool and places of errors."""
-        places = {parameter.place for parameter in self._errors.parameters}
+        places = {parameter.place for parameter in self._errors.parameters} - self._errors.robot.rods.keys()
         joints = {place for place in places if self._model.existJointName(place)}
         frames = {self._robot.frame_id(name) for name in (*frame_names(self._robot), *(places - joints))}
         on_frames = {self._model.frames[frame].parentJoint for frame in frames}
@@ -435,7 +441,9 @@ class _Loops:
         for loop in self._robot.closures:
             a, b = (self._robot.frame_id(name) for name in (loop.frame_a, loop.frame_b))
             movers = self._errors.movers(b) - self._errors.movers(a)
-            moving = np.flatnonzero(movers)  # few of a large robot
+            longer = np.zeros(len(movers))
+            longer[self._lengths.get(loop.name, [])] = 1.0
+            moving = np.flatnonzero((movers != 0.0) | (longer != 0.0))  # few of a large robot
             relative = self._columns[:, :, moving] * movers[moving]
             at_a, at_b = self._frame(a), self._frame(b)
             axes = [(at[:, :3, :3] @ turn).T for at, turn in zip((at_a, at_b), _bases(loop), strict=True)]
@@ -446,7 +454,7 @@ class _Loops:
             linear = relative[:, :3] + _crossed(angular, at_b[:, :3, 3, None])
             for directions, part in ((along, linear), (about, angular)):
                 if directions:
-                    yield np.asarray(np.einsum("kin,nij->nkj", np.array(directions), part)), moving
+                    yield np.asarray(np.einsum("kin,nij->nkj", np.array(directions), part) - longer[moving]), moving
         for coupled in self._robot.loop_kinematics.couplings:
             slopes = [np.ones(len(self._q)), *(-slope * np.ones(len(self._q)) for slope in coupled.slopes(self._q))]
             moving = np.array([coupled.joint.v_index, *(joint.v_index for joint in coupled.others)])

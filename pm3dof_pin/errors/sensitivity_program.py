@@ -18,7 +18,7 @@ from pm3dof_pin.programs.joints import Transform, placement_of
 from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.motion_equations import joint_columns
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.tool_motion import Displacement, response_to_displacements
+from pm3dof_pin.programs.tool_motion import Displacement, Lengthening, response_to_displacements
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects, Vector
@@ -109,7 +109,7 @@ def _traced(
     verify(robot, poses)
     places = [parameter.place for parameter in errors.parameters]
     graph, tool = Graph(), robot.frame_name()
-    frames = [place for place in places if not robot.model.existJointName(place)]
+    frames = [place for place in places if not (place in errors.robot.rods or robot.model.existJointName(place))]
     tree = Tree(graph, robot, poses, frames, in_working_axes=True)
     driven = robot.actuated_indices
     passive = joint_columns(tree, np.setdiff1d(np.arange(robot.model.nv), driven), tool)
@@ -132,13 +132,16 @@ def _traced(
 
 def _displacements(
     tree: Tree, errors: GeometricErrors, local_twists: Matrix, *, at_zero: bool
-) -> tuple[list[Displacement], list[int]]:
-    """Return the errors of each place, as twists of everything beyond it; and the numbers of the errors, in order."""
+) -> tuple[list[Displacement | Lengthening], list[int]]:
+    """Return the errors of each place, twists of everything beyond it or lengths of a rod; and their numbers."""
     numbers: dict[str, list[int]] = {}
     for k, parameter in enumerate(errors.parameters):
         numbers.setdefault(parameter.place, []).append(k)
-    displaced = []
+    displaced: list[Displacement | Lengthening] = []
     for place, own in numbers.items():
+        if place in errors.robot.rods:
+            displaced.append(Lengthening(errors.robot.rods[place], len(own)))
+            continue
         local = zeros(6, len(own))
         for column, k in enumerate(own):
             for row in range(3) if local_twists[:3, k].any() else range(3, 6):
@@ -178,7 +181,9 @@ def _parameters(
 
 def _key(name: str, robot: Robot, errors: GeometricErrors, at_zero: bool) -> str:
     parameters = [(p.place, p.motion, p.axis if at_zero else None) for p in errors.parameters]
-    places = sorted({p.place for p in errors.parameters if not robot.model.existJointName(p.place)})
+    places = sorted(
+        {p.place for p in errors.parameters if not robot.model.existJointName(p.place)} - errors.robot.rods.keys()
+    )
     return repr(
         (
             *(name, at_zero, parameters, robot.actuated_indices.tolist()),

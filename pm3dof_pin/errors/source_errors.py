@@ -124,7 +124,11 @@ class ErrorSources:
         numbers, robot = self.numbers.thermal, self.robot
         shares = numbers.members
         if not isinstance(shares, dict):
-            shares = {p.place: shares for p in all_parameters(robot) if p.motion == "translation"}
+            shares = {
+                p.place: shares
+                for p in all_parameters(robot)
+                if p.motion == "translation" and p.place not in robot.rods
+            }
         bearings, rods = np.array(self.errors.fixed_bearings), {}
         if not isinstance(numbers.members, dict):
             rods = {loop.name: numbers.members for loop in robot.closures if loop.kind.is_distance}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
@@ -211,12 +212,20 @@ class Mechanism:
         variant._prototype = None
         return variant
 
-    def displaced(self, model: pin.Model) -> Self:
-        """Return a copy with a model that differs in placements only; faster than :meth:`replace`."""
+    def displaced(self, model: pin.Model, lengthened: Mapping[str, float] | None = None) -> Self:
+        """Return a copy with a model that differs in placements only; faster than :meth:`replace`.
+
+        Some :attr:`rods` may be longer by lengths [m]; InvalidValueError if one has no length left.
+        """
         kind = type(self)
         variant = kind.__new__(kind)
         vars(variant).update({name: vars(self)[name] for name in self._described})
         variant.model, variant._prototype = model, self.prototype
+        if lengthened:
+            variant.closures = tuple(
+                replace(loop, length=(loop.length or 0.0) + lengthened[loop.name]) if loop.name in lengthened else loop
+                for loop in self.closures
+            )
         return variant
 
     def matches(self, other: Mechanism) -> bool:
@@ -239,6 +248,18 @@ class Mechanism:
     def description(self) -> Description:
         """The description that the mechanism was made of, or else one of its model; variants keep the original's."""
         return describe_model(self.model, self.closures) if self._description is None else self._description
+
+    @cached_property
+    def rods(self) -> Mapping[str, int]:
+        """The closures of type "distance" by name, with their numbers; none with the name of a joint or frame."""
+        taken = {*self.model.names, *(frame.name for frame in self.model.frames)}
+        return MappingProxyType(
+            {
+                loop.name: number
+                for number, loop in enumerate(self.closures)
+                if loop.kind.is_distance and loop.name not in taken
+            }
+        )
 
     @property
     def has_loops(self) -> bool:

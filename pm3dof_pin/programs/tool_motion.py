@@ -48,6 +48,14 @@ class Displacement:
 
 
 @dataclass(frozen=True, eq=False)
+class Lengthening:
+    """Changes of the length of a closure of type "distance"."""
+
+    closure: int  #: its number
+    count: int = 1  #: how many of the same effect
+
+
+@dataclass(frozen=True, eq=False)
 class Branch:
     """How one branch holds the frame: twist @ x + motion @ s = 0 and relations @ s = 0, with its sources s."""
 
@@ -143,7 +151,7 @@ def response_to_displacements(
     frame: str,
     passive: Sequence[Column],
     drives: Sequence[Column],
-    displacements: Sequence[Displacement],
+    displacements: Sequence[Displacement | Lengthening],
     doubt: Doubt,
     *,
     shared: bool = False,
@@ -152,9 +160,9 @@ def response_to_displacements(
 
     The adjoint way: the sources are the equations themselves, whose number does not grow with that of the
     displacements. Their solution gives six covectors, and further ones that must vanish, for whatever moves the same
-    frames; a displacement is their product with a twist. Returns the frame's twists for one unit of each, shape=(6, k),
-    and for one unit of each drive, shape=(6, u). If they are shared by more drives than degrees of freedom, these give
-    way by the least norm, rates of slides in units of length.
+    frames; a displacement is their product with a twist, a lengthening opens one equation. Returns the frame's twists
+    for one unit of each, shape=(6, k), and for one unit of each drive, shape=(6, u). If they are shared
+    by more drives than degrees of freedom, these give way by the least norm, rates of slides in units of length.
 
     Raises:
         ProgramError: see :func:`response`.
@@ -171,6 +179,10 @@ def response_to_displacements(
     covectors: dict[frozenset[str], Objects] = {}
     results = []
     for moved in displacements:
+        if isinstance(moved, Lengthening):
+            rows = next(block.rows for block in equations.blocks if block.closure == moved.closure)
+            results += [by_rows[:, rows] * (-1.0 / unit)] * moved.count
+            continue
         if moved.frames not in covectors:
             covectors[moved.frames] = _covectors(by_rows, moved.frames, equations.blocks)
         along, about = np.split(covectors[moved.frames], 2, axis=1)
