@@ -30,6 +30,7 @@ _STRAYED = 1e-2  # share of the error that they leave where damped ones had bett
 _DAMPED_STEPS = 60
 _NEGLIGIBLE = 1e-9  # expected gain of a damped step at which they end [m, tip-weighted]
 _DAMPING, _LESS, _MORE = 1e-3, 0.1, 4.0  # at first, relative to squared derivatives, and factors after each step
+_LEAST_DAMPING = 1e-10  # with which redundant drives have steps
 _AS_EXPECTED = 0.25  # share of the expected gain after which it becomes less
 
 
@@ -145,7 +146,8 @@ def _damped(poses: Poses, limited: Mask, targets: Array, eta: float) -> Poses:
         own, before = control[rows], np.sum(error[rows] ** 2, axis=1)
         normal, slope = np.swapaxes(own, 1, 2) @ own, np.einsum("nij,ni->nj", own, error[rows])
         sizes[rows] = np.maximum(sizes[rows], np.einsum("nii->ni", normal))
-        raised = damping[rows, None] * (sizes[rows] + SOLVED * sizes[rows].max(axis=1, keepdims=True))
+        largest = sizes[rows].max(axis=1, keepdims=True)
+        raised = damping[rows, None] * (sizes[rows] + SOLVED * np.where(largest > 0.0, largest, 1.0))
         normal[:, drives, drives] += raised
         move = -np.linalg.solve(normal, slope[:, :, None])[:, :, 0]
         tried = robot.forward(commands[rows] + scales * move, guess=q[rows], on_failure="nan")
@@ -156,7 +158,8 @@ def _damped(poses: Poses, limited: Mask, targets: Array, eta: float) -> Poses:
         good = taken & (gained > _AS_EXPECTED * expected)
         now = rows[taken]
         q[now], error[now], commands[now] = tried.q[taken], there[taken], commands[now] + (scales * move)[taken]
-        damping[rows] *= np.where(good, _LESS, np.where(taken, 1.0, _MORE))
+        changed = damping[rows] * np.where(good, _LESS, np.where(taken, 1.0, _MORE))
+        damping[rows] = np.maximum(changed, _LEAST_DAMPING)
         if now.size:
             control[now] = weighted_control(tried[taken], eta)
         rows = rows[expected > 2.0 * _NEGLIGIBLE * np.sqrt(before)]

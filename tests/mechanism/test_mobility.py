@@ -64,7 +64,7 @@ def test_a_generic_configuration_is_assembled_near_by_and_reproducible(five_bar:
     generic = generic_configuration(configuration)
     assert generic.closure_residual < 1e-14
     moved = np.abs(generic.q - configuration.q) / five_bar.velocity_scale
-    assert 0.01 < moved.max() < 0.5
+    assert 1e-3 < moved.max() < 0.5  # at random, and the loops take part of it back
     np.testing.assert_array_equal(generic_configuration(configuration).q, generic.q)
     assert not np.array_equal(generic_configuration(configuration, seed=1).q, generic.q)
 
