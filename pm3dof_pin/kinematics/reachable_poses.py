@@ -131,10 +131,12 @@ def _walked(robot: Robot, count: int, generator: np.random.Generator, margin: fl
 
 
 def _has_ranges(robot: Robot) -> bool:
-    """Return whether to draw coordinates: they determine the drives, and have ranges."""
-    return len(robot.coordinates) >= len(robot.placing_drives) and all(
-        c.joint is not None or np.isfinite(robot.range_of(c)).all() for c in robot.coordinates
-    )
+    """Return whether to draw coordinates: they determine the drives, and have ranges, or the drives are dependent."""
+    if len(robot.coordinates) < len(robot.placing_drives):
+        return False
+    if all(c.joint is not None or np.isfinite(robot.range_of(c)).all() for c in robot.coordinates):
+        return True
+    return bool(robot.closures) and len(robot.coordinates) < len(robot.command_coordinates)
 
 
 class _Draws:
