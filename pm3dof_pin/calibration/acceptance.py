@@ -109,10 +109,10 @@ class AcceptanceResult:
         if set(self.values) != set(self.uncertainties):
             raise InvalidValueError("uncertainties", sorted(self.uncertainties), f"those of {sorted(self.values)}")
         for name, value in self.values.items():
-            if not _is_number(value):
+            if not is_finite_number(value):
                 raise InvalidValueError(f"result {name}", value, "a finite number [m]")
         for name, spread in self.uncertainties.items():
-            if spread is not None and not (_is_number(spread) and spread >= 0.0):
+            if spread is not None and not (is_finite_number(spread) and spread >= 0.0):
                 expected = "a finite number of at least 0 [m], or null if it is not stated"
                 raise InvalidValueError(f"uncertainty of {name}", spread, expected)
         if isinstance(self.readings, bool) or not isinstance(self.readings, int) or self.readings < 1:
@@ -149,7 +149,8 @@ class AcceptanceResult:
         }
 
 
-def _is_number(value: object) -> bool:
+def is_finite_number(value: object) -> bool:
+    """Return whether a value read from a file is a finite number."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < np.inf
 
 

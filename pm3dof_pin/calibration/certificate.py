@@ -24,7 +24,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
-from pm3dof_pin.calibration.acceptance import AcceptanceResult
+from pm3dof_pin.calibration.acceptance import AcceptanceResult, is_finite_number
 from pm3dof_pin.calibration.folder import checksum_of, read_summary
 from pm3dof_pin.csv_table import plain_number
 from pm3dof_pin.description.yaml_file import read_mapping
@@ -260,7 +260,9 @@ def _about(path: Path) -> dict[str, Any]:
             raise DescriptionError(path, kind, f"is calibrated until {until}, expected no day before {data['date']}")
     temperature = data["temperature_C"]
     if not (
-        isinstance(temperature, list) and len(temperature) == len(("low", "high")) and all(map(_is_number, temperature))
+        isinstance(temperature, list)
+        and len(temperature) == len(("low", "high"))
+        and all(map(is_finite_number, temperature))
     ):
         raise DescriptionError(path, "temperature_C", f"expected lowest and highest, not {temperature!r}")
     if not _ABSOLUTE_ZERO < temperature[0] <= temperature[1]:
@@ -268,7 +270,7 @@ def _about(path: Path) -> dict[str, Any]:
     limits = data.get("limits_m", {})
     if isinstance(limits, dict):
         data["limits_m"] = limits = {str(symbol): _number(value) for symbol, value in limits.items()}
-    if not isinstance(limits, dict) or not all(_is_number(value) and value > 0.0 for value in limits.values()):
+    if not isinstance(limits, dict) or not all(is_finite_number(value) and value > 0.0 for value in limits.values()):
         raise DescriptionError(path, "limits_m", f"expected positive numbers of metres by symbol, not {limits!r}")
     if data.get("decision_rule", "guarded") not in ("simple", "guarded"):
         raise DescriptionError(path, "decision_rule", f"expected simple or guarded, not {data['decision_rule']!r}")
@@ -287,10 +289,6 @@ def _number(value: object) -> object:
         return plain_number(value) if isinstance(value, str) else value
     except ValueError:
         return value
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < float("inf")
 
 
 def _of_calibration(summary: Mapping[str, Any]) -> list[tuple[str, str, float, float | None, str]]:

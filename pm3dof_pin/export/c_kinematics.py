@@ -567,7 +567,7 @@ def _core(controller: Controller, real: Real, linkage: str) -> str:
     text = _CORE.replace("TOOL\n", _TOOL if robot.tool_frame is not None else "")
     replaced = {
         "INVERSE_TARGETS": _targets(controller, robot.coordinates, "coordinates", range(len(robot.coordinates))),
-        "FORWARD_TARGETS": _targets(controller, controller.placing, "given", placing),
+        "FORWARD_TARGETS": _targets(controller, robot.placing_commands, "given", placing),
         "PERIODIC": _periodic(controller),
         "CONTRADICTION": _contradiction(controller),
         "CORRECTED": _CORRECTED if tables else "",

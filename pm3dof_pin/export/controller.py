@@ -121,7 +121,8 @@ class Controller:
         widest = variants.get("calibrated", robot)
         source = program_source(robot)
         self.inverse, self.forward = (
-            source.printable_walk(widest, Task.from_coordinates(way))[0] for way in (robot.coordinates, self.placing)
+            source.printable_walk(widest, Task.from_coordinates(way))[0]
+            for way in (robot.coordinates, self.robot.placing_commands)
         )
         samples, dense = source.samples, calibrated is not None
         groups = {"commands": robot.command_coordinates, "coordinates": robot.coordinates}
@@ -144,11 +145,6 @@ class Controller:
             name: self._model(variant, deviations if name == "calibrated" else None)
             for name, variant in variants.items()
         }
-
-    @property
-    def placing(self) -> tuple[Coordinate, ...]:
-        """The commands that place the mechanism; others must agree."""
-        return tuple(self.robot.command_coordinates[k] for k in self.robot.placing_drives)
 
     @cached_property
     def single_precision_error(self) -> float:
@@ -189,7 +185,7 @@ class Controller:
     def _model(self, robot: Robot, deviations: Deviations | None) -> Model:
         numbers, q = geometry.values(robot, self.parameters), start_of(robot)
         at_home = robot.at([q])
-        given = (at_home.coordinates, at_home.commands[:, self._placing_of(self.placing)])
+        given = (at_home.coordinates, at_home.commands[:, self._placing_of(self.robot.placing_commands)])
         modes = []
         for (walk, coordinates), values in zip(self._ways, given, strict=True):
             state = np.concatenate([q, [1.0, 0.0], self.targets(coordinates, values)[0]])
@@ -222,11 +218,13 @@ class Controller:
 
     @property
     def _ways(self) -> tuple[tuple[Walk, tuple[Coordinate, ...]], ...]:
-        return (self.inverse, self.robot.coordinates), (self.forward, self.placing)
+        return (self.inverse, self.robot.coordinates), (self.forward, self.robot.placing_commands)
 
     def _placing_of(self, coordinates: tuple[Coordinate, ...]) -> list[int]:
         """Return which of the commands, or of the coordinates, a walk takes."""
-        return self.robot.placing_drives if coordinates == self.placing else list(range(len(coordinates)))
+        return (
+            self.robot.placing_drives if coordinates == self.robot.placing_commands else list(range(len(coordinates)))
+        )
 
     def _starts(self, model: Model, count: int) -> Matrix:
         first = len(self.parameters)

@@ -176,7 +176,7 @@ def _module(controller: Controller, of: Sequence[str], described: Mapping[str, D
     poses = reachable_poses(robot, _POSES, np.random.default_rng(_SEED))
     ways = {
         "inverse": (controller.inverse, robot.coordinates, poses.coordinates),
-        "forward": (controller.forward, controller.placing, poses.commands[:, robot.placing_drives]),
+        "forward": (controller.forward, robot.placing_commands, poses.commands[:, robot.placing_drives]),
     }
     found = {way: _legs(controller, walk, given, targets) for way, (walk, given, targets) in ways.items()}
     legs = {way: count for way, (count, _) in found.items()}

@@ -140,7 +140,7 @@ def _random_starts(robot: Robot, generator: np.random.Generator, count: int) -> 
 
 def _closed(robot: Robot, starts: Matrix, target: Vector) -> Matrix:
     """Return the closed configurations at which starts end, with all commands as given, shape=(n, nq)."""
-    coordinates = tuple(robot.command_coordinates[k] for k in robot.placing_drives)
+    coordinates = robot.placing_commands
     given = np.tile(target[robot.placing_drives], (len(starts), 1))
     if (continuation := robot.continuation(coordinates)) is not None:
         ends = continuation.ends(starts, given)

@@ -79,7 +79,7 @@ class Continuation:
         self._checks = source.checks(robot)
         self._null_motions: NullMotions | None = None
         if robot.has_branches and robot.has_null_motions(self._coordinates):
-            commands = [robot.command_coordinates[k] for k in robot.placing_drives]
+            commands = robot.placing_commands
             solver = Continuation(robot, commands)
             self._null_motions = NullMotions(robot, self._coordinates, commands, solver, self.read)
 
