@@ -78,7 +78,7 @@ def write_calibrated_robot(
     if closures is not None and (stiffness or robot.rods):
         entries = read_mapping(closures)
         if stiffness:
-            entries["springs"] = stiffened_entries(entries.get("springs", ()), stiffness)
+            entries["springs"] = stiffened_entries(entries.get("springs", ()), stiffness, closures)
         if robot.rods and "closed_loop" in entries:
             entries["closure_lengths"] = [loop.length for loop in own["closures"]]
         write_text_atomically(closures, yaml_text(entries))

@@ -336,7 +336,7 @@ def read_springs(
                 source, f"{element}.type", f"expected one of {', '.join(SPRING_SCHEMAS)}, not {kind}"
             )
         try:
-            form = checked(_with_contact(entry, source, element), SPRING_SCHEMAS[kind], source, element)
+            form = checked(with_contact(entry, source, element), SPRING_SCHEMAS[kind], source, element)
             values = {field.name: getattr(form, field.name) for field in fields(form.makes)}
             is_rigid = values.get("shear_stiffness") == RIGID
             spring = form.makes(**values | ({"shear_stiffness": None} if is_rigid else {}))
@@ -366,8 +366,12 @@ def _with_shear(spring: Spring, source: Path | str, least_positions: Mapping[str
     return replace(spring, shear_stiffness=shear)
 
 
-def _with_contact(entry: Mapping[str, Any], source: Path | str, element: str) -> dict[str, Any]:
-    """Return an entry with the stiffness and the law of the contact of the catalogue that it names."""
+def with_contact(entry: Mapping[str, Any], source: Path | str, element: str) -> dict[str, Any]:
+    """Return an entry with the stiffness and the law of the contact of the catalogue that it names, as plain data.
+
+    Raises:
+        DescriptionError: there is no such contact, or the entry has a stiffness or law beside it.
+    """
     own = dict(entry)
     if (name := own.pop("contact", None)) is None:
         return own
@@ -383,7 +387,7 @@ def _with_contact(entry: Mapping[str, Any], source: Path | str, element: str) ->
         own["matrix"] = (stiffness * np.eye(3)).tolist()
     else:
         own |= {"stiffness": stiffness, "unit": "N/m"}
-    return own | {"law": law}
+    return own | {"law": {key: value for key, value in msgspec.to_builtins(law).items() if value is not None}}
 
 
 def _require_positive(name: str, value: float) -> None:

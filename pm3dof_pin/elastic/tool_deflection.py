@@ -7,6 +7,7 @@ factor k_j changes C by dC / d ln k_j = -C_j, whether or not the mechanism is st
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic.batch import elastic_model, evaluate
 from pm3dof_pin.elastic.quantities import compliance_by_spring
-from pm3dof_pin.elastic.springs import RIGID
+from pm3dof_pin.elastic.springs import RIGID, with_contact
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM
 from pm3dof_pin.kinematics.poses import Poses
@@ -56,15 +57,28 @@ def stiffened(robot: Robot, factors: Mapping[str, float]) -> Robot:
             raise InvalidValueError("spring", name, f"one of {', '.join(names)}")
         if not (np.isfinite(factor) and factor > 0.0):
             raise InvalidValueError(f"stiffness factor of {name}", factor, "a positive number")
-    return robot.replace(springs=stiffened_entries(robot.springs, factors))
+    return robot.replace(springs=stiffened_entries(robot.springs, factors, robot.source))
 
 
-def stiffened_entries(springs: Iterable[Mapping[str, Any]], factors: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Return entries of springs, as in a closures file, with the stiffness of those named multiplied by factors."""
-    return [
-        {
-            key: (factor * np.asarray(value, dtype=float)).tolist() if key in _STIFFNESSES and value != RIGID else value
-            for key, value in entry.items()
-        }
-        for entry, factor in ((entry, factors.get(str(entry.get("name")), 1.0)) for entry in springs)
-    ]
+def stiffened_entries(
+    springs: Iterable[Mapping[str, Any]], factors: Mapping[str, float], source: Path | str
+) -> list[dict[str, Any]]:
+    """Return entries of springs, as in a closures file, with the stiffness of those named multiplied by factors.
+
+    Those that name a contact of the catalogue get its numbers. Messages are about the `source`.
+
+    Raises:
+        DescriptionError: an entry names no contact of the catalogue.
+    """
+    found = []
+    for entry in springs:
+        own, name = dict(entry), str(entry.get("name"))
+        if name in factors:
+            own = with_contact(entry, source, f"spring '{name}'")
+            own |= {
+                key: (factors[name] * np.asarray(value, dtype=float)).tolist()
+                for key, value in own.items()
+                if key in _STIFFNESSES and value != RIGID
+            }
+        found.append(own)
+    return found

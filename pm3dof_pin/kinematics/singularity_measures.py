@@ -192,13 +192,12 @@ def _least_square(robot: Robot) -> float:
 
 
 def _felt(robot: Robot, rows: Array, tool: Array, gram: Array) -> Array:
-    """Return B P B^T for drives and tool, shape=(n, u + t, u + t)."""
+    """Return B P B^T for drives and tool, shape=(n, u + t, u + t), but for what they share only below its diagonal."""
     drives, turned = robot.actuated_indices, np.swapaxes(tool, 1, 2)
     count = len(drives)
     across = np.concatenate([rows[:, :, drives], rows @ turned], axis=2)
     felt = np.asarray(np.swapaxes(across, 1, 2) @ np.linalg.solve(-gram, across))
     felt[:, :count, :count] += np.eye(count)
-    felt[:, :count, count:] += turned[:, drives]
     felt[:, count:, :count] += tool[:, :, drives]
     felt[:, count:, count:] += tool @ turned
     return felt

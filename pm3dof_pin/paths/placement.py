@@ -140,8 +140,9 @@ class PlacementSearch:
     def ends(self, turn: bool) -> dict[str, tuple[float, float]]:
         """Return the ranges of the middle of the path and of its turn, by name [m, rad]."""
         found = {}
+        named = self._follower.path.components or ()  # others stay where the machine is, wherever the workpiece is
         for coordinate in self.robot.coordinates:
-            if coordinate.tool in TOOL_COMPONENTS[:3]:
+            if coordinate.tool in TOOL_COMPONENTS[:3] and coordinate.tool in named:
                 first, last = coordinate_range(self.robot, coordinate)
                 middle, width = float(self.centre[TOOL_COMPONENTS.index(coordinate.tool)]), self._follower.unit
                 ends = first if np.isfinite(first) else middle - width, last if np.isfinite(last) else middle + width
@@ -176,8 +177,9 @@ def place_path(
 ) -> WorkpiecePlacement:
     r"""Search the placement of the workpiece at which a path is best.
 
-    The workpiece is moved in the directions in which the robot moves its tool, within the ranges of its coordinates.
-    Moves that start at home of the machine count at their ends only; rapids count for the limits alone.
+    The workpiece is moved in the directions in which the robot moves its tool and which the program names, within the
+    ranges of its coordinates. Moves that start at home of the machine count at their ends only; rapids count for the
+    limits alone.
 
     Example:
         >>> from pathlib import Path
@@ -188,7 +190,7 @@ def place_path(
         >>> _ = Path("line.ngc").write_text("G21 G1 X-10 F600\nX10\nY10\nM2\n")
         >>> found = place_path(robot, read_path(robot, "line.ngc"), "fastest")
         >>> found.variables
-        ('x', 'y', 'z')
+        ('x', 'y')
 
     Args:
         robot: the robot.
@@ -212,9 +214,10 @@ def place_path(
     names = tuple(ends)
     if not names:
         raise InvalidValueError(
-            "path", problem=f"cannot be moved: {robot.name} does not move its tool", expected="some"
+            "path", problem=f"names no axis along which {robot.name} moves its tool", expected="one"
         )
     before = float(search.costs(np.eye(4)[None])[0])
+    start = [{**dict(zip("xyz", search.centre, strict=True)), "rz": 0.0}[name] for name in names]
     result = differential_evolution(
         lambda values: search.costs(search.motions(names, np.reshape(values, (len(names), -1)).T)),
         list(ends.values()),
@@ -224,9 +227,7 @@ def place_path(
         polish=False,
         updating="deferred",
         vectorized=True,
-        x0=[{**dict(zip("xyz", search.centre, strict=True)), "rz": 0.0}[name] for name in names]
-        if all(low <= value <= high for value, (low, high) in zip(search.centre, ends.values(), strict=False))
-        else None,
+        x0=start if all(low <= x <= high for x, (low, high) in zip(start, ends.values(), strict=True)) else None,
     )
     motion, cost = search.motions(names, result.x[None])[0], float(result.fun)
     if before <= cost < _BEYOND:

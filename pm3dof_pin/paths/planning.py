@@ -170,8 +170,11 @@ def plan_motion(
     for _ in in_blocks(fill, points.blocks(), follower.robot.threads):
         pass
     for part in reversed(points.blocks()):  # from point to point, at both of which it holds
-        before = tangential[max(part.start - 1, 0) : max(part.stop - 1, 1)]
-        tangential[part] = np.minimum(tangential[part], before if part.start else np.append(before[0], before))
+        before = np.maximum(np.arange(part.start, part.stop) - 1, 0)
+        least = np.minimum(tangential[part], tangential[before])
+        # of a program, moves that only turn the tool are measured in rad, others in m
+        other = (turns[part] != turns[before]) & (path.components is not None)
+        tangential[part] = np.where(other, tangential[part], least)
     corners = bounds.corners()
     for part in points.blocks():
         moves, shares = points.moves[part], points.shares[part]

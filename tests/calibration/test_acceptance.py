@@ -44,6 +44,19 @@ def _positions(path: Path, diagonals: int = 0) -> Path:
     return path
 
 
+def test_drift_counts_by_the_time_between_readings(tmp_path: Path) -> None:
+    """Two runs over five targets up and down: at the first, readings down come 9 of 19 steps later than those up."""
+    path, once = tmp_path / "line.csv", [0.0, 0.1, 0.2, 0.3, 0.4]
+    targets, sides = np.tile([*once, *once[::-1]], 2), np.tile(np.repeat([1.0, -1.0], 5), 2)
+    deviations = np.where((targets == 0.0) & (sides > 0.0), 50e-6, 0.0)  # the greatest reversal, whatever else
+    rows = np.column_stack([targets, sides, deviations]).tolist()
+    text = "\n".join(",".join(map(repr, row)) for row in rows)
+    path.write_text(f"target_m,direction,deviation_m\n{text}\n")
+    found = evaluate_acceptance("positioning", path, instrument=InstrumentErrors(drift=1e-6))
+    assert found.values["B"] == pytest.approx(50e-6)
+    assert found.uncertainties["B"] == pytest.approx(2.0 * 1e-6 * 9.0 / 19.0, rel=0.1)
+
+
 def test_positioning(tmp_path: Path) -> None:
     """With two runs at +-1 um the standard deviation is 2^(1/2) um: by hand from the definitions of ISO 230-2."""
     found = evaluate_acceptance("positioning", _positions(tmp_path / "line.csv")).values

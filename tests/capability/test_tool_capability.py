@@ -81,6 +81,17 @@ def test_linear_programs_give_what_polytopes_do(monkeypatch: pytest.MonkeyPatch)
     assert (left[1] > 0.0).all()
 
 
+def test_linear_programs_count_the_weight_on_its_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up and down, as the polytopes have it: drives that hold the weight push down by more than up."""
+    robot = pm.load("hexapod")
+    at = pm.tool_capability(robot, robot.home, effort=300.0, payloads={robot.frame_name(): 20.0})
+    ends = [np.array([0.0, 0.0, sign, 0.0, 0.0, 0.0]) for sign in (1.0, -1.0)]
+    up, down = (float(at.greatest_wrench(end)) for end in ends)
+    assert down > 1.1 * up
+    monkeypatch.setattr("pm3dof_pin.capability.tool_capability.MOST_FACETS", 0)
+    np.testing.assert_allclose([float(at.greatest_wrench(end)) for end in ends], [up, down], rtol=1e-8)
+
+
 def test_the_share_left_is_that_of_the_most_loaded_drive() -> None:
     robot = pm.load("hexapod")
     poses = pm.reachable_poses(robot, 6, np.random.default_rng(0))
@@ -131,6 +142,18 @@ def test_velocities_of_36_drives_are_a_zonotope(flat: bool) -> None:
     assert len(corners) == (2 * 36 if flat else 36 * 35 + 2)
     for direction in np.random.default_rng(3).normal(size=(20, 3)):
         assert (corners @ direction).max() == pytest.approx(np.abs(direction @ rates[:3]) @ speed)
+
+
+def test_velocities_of_redundant_drives() -> None:
+    """Twelve drives for six freedoms; the support along a direction is a linear program over the independent rates."""
+    generator = np.random.default_rng(5)
+    tool, drives, speed = generator.normal(size=(6, 6)), generator.normal(size=(12, 6)), np.linspace(0.5, 1.5, 12)
+    names = tuple(f"drive{k}" for k in range(12))
+    corners = ToolCapability(names, tool, drives, np.zeros(6), np.ones(12), speed).velocities(slice(0, 3))
+    rows, most = np.vstack([drives, -drives]), np.tile(speed, 2)
+    for direction in generator.normal(size=(6, 3)):
+        best = linprog(-direction @ tool[:3], A_ub=rows, b_ub=most, bounds=(None, None))
+        assert (corners @ direction).max() == pytest.approx(-best.fun, rel=1e-8)
 
 
 def test_velocities_of_many_redundant_drives_are_refused() -> None:

@@ -14,6 +14,7 @@ import xarray as xr
 from scipy.optimize import linprog
 
 import pm3dof_pin as pm
+from pm3dof_pin.capability.mapping_fit import fit_mapping
 from pm3dof_pin.capability.polytopes import Polytopes
 from pm3dof_pin.capability.serial_model import serial_model
 from pm3dof_pin.capability.transmission import Transmission, drive_values, held_outside, joint_driven, transmission
@@ -427,3 +428,12 @@ def test_an_effort_of_zero_in_a_description_stands_for_unknown(tmp_path: Path) -
     model = serial_model(transmission(robot, poses))
     assert model.torque is None
     assert (model.unit_torque.least > 2.0).all()
+
+
+def test_the_worst_error_of_a_mapping_may_be_between_the_poses_that_it_was_fitted_to() -> None:
+    """Of a plane through the readings at four corners, at the middle; poses solved there."""
+    robot = joint_driven(pm.load(_ANKLE, tool_frame="sole"), ["pitch", "roll"])
+    fit = fit_mapping(transmission(robot, robot.grid(pitch=(-0.3, 0.3, 2), roll=(-0.15, 0.15, 2))), 1)
+    middle = np.zeros((1, 2))
+    errors = np.abs(fit.commands(middle) - robot.solve(middle).commands)[0]
+    np.testing.assert_allclose(fit.worst, errors, rtol=1e-9)

@@ -97,3 +97,11 @@ def test_a_machine_with_four_legs_and_travels_that_do_not_fit(tripod: Tripod) ->
     np.testing.assert_allclose(direct_kinematics(four, u), [0.1, -0.2, 0.5], atol=1e-11)
     with pytest.raises(ConvergenceError, match=r"u = \(1, 0, 0, 0\) m did not converge"):
         direct_kinematics(four, [1.0, 0.0, 0.0, 0.0])
+
+
+def test_all_legs_count_where_the_first_three_do_not_tell_the_pose(tripod: Tripod) -> None:
+    """Two of them are one beside the other."""
+    angles = np.radians([0.0, 0.0, 120.0, 240.0])
+    four = Tripod(dataclasses.replace(tripod.parameters, base_joint_angles=angles, platform_joint_angles=angles))
+    u = inverse_kinematics(four, [0.1, -0.2, 0.5])
+    np.testing.assert_allclose(direct_kinematics(four, u), [0.1, -0.2, 0.5], atol=1e-11)

@@ -8,6 +8,7 @@ import pytest
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.axis_stiffness import felt_stiffness, held_stiffness
 from pm3dof_pin.chapter.chapter_stiffness import AXES, chapter_stiffness
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.passive_leg import with_passive_leg_radius
 from pm3dof_pin.exceptions import InvalidValueError
@@ -34,6 +35,17 @@ def test_the_level_platform_turns_with_the_end_of_the_passive_leg(tripod: Tripod
     centre = [0.0, 0.0, tripod.middle_height]
     for reading in (held_stiffness, felt_stiffness):
         assert reading(tripod, centre)[AXES.index("theta_z")] == pytest.approx(p.torsional_stiffness / length, rel=1e-9)
+
+
+def test_readings_are_in_the_order_of_the_chapters_axes(tripod: Tripod) -> None:
+    """Diagonals of K and C, whose rows are x, y, z, rx, ry, rz, at a pose where all differ."""
+    pose = [0.25, -0.1, 0.5]
+    stiffness = elastic_stiffness(tripod, pose)
+    rows = {"t_x": 0, "t_y": 1, "t_z": 2, "theta_x": 3, "theta_y": 4, "theta_z": 5}
+    own = [rows[axis] for axis in AXES]
+    np.testing.assert_allclose(held_stiffness(tripod, pose), stiffness.diagonal()[own], rtol=1e-12)
+    compliance = np.linalg.inv(stiffness).diagonal()[own]
+    np.testing.assert_allclose(felt_stiffness(tripod, pose), 1.0 / compliance, rtol=1e-6)
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.2, 2.0])

@@ -214,6 +214,29 @@ def test_shapes_are_of_unit_mass_keep_the_loops_closed_and_satisfy_the_equation_
         np.testing.assert_allclose(modes.twists, where.tool_jacobian @ shapes)
 
 
+def test_bodies_move_in_a_mode_as_their_places_do(
+    elastic: ElasticModel, positions: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    """Twists of bodies at their joints, world axes, by differences of placements along a mode."""
+    modes = natural_modes(elastic, positions(np.array([0.2, -0.1, 0.5])), count=2)
+    mechanism, step = modes.configuration.mechanism, 1e-6
+    names = [*list(mechanism.model.names)[1:], "nobody"]
+    found = modes.body_twists(names)
+    assert not found[:, -1].any()
+    for shape, twists in zip(modes.shapes.T, found, strict=True):
+        ends = []
+        for sign in (1.0, -1.0):
+            data = mechanism.model.createData()
+            q = pin.integrate(mechanism.model, np.array(modes.configuration.q), sign * step * shape)
+            pin.forwardKinematics(mechanism.model, data, q)
+            ends.append([pin.SE3(place) for place in data.oMi])
+        for name, twist in zip(names[:-1], twists, strict=False):
+            one, other = (end[mechanism.model.getJointId(name)] for end in ends)
+            turn = pin.log3(one.rotation @ other.rotation.T)
+            expected = np.concatenate([one.translation - other.translation, turn]) / (2.0 * step)
+            np.testing.assert_allclose(twist, expected, atol=1e-7 * np.abs(found).max())
+
+
 def test_springs_and_masses_scale_the_frequencies(mechanism: Robot, elastic: ElasticModel) -> None:
     home = mechanism.home
     usual = natural_modes(elastic, home).frequencies

@@ -55,8 +55,8 @@ def _grows(gain: float) -> bool:
 def test_one_mode() -> None:
     """K_v = 2 zeta omega_n = c / m."""
     limit = servo_limit(_carts(1), "first")
-    assert limit.critical_gain == pytest.approx(DAMPERS[0] / MASSES[0], rel=1e-3)
-    assert limit.critical_frequency == pytest.approx(np.sqrt(STIFFNESS[0] / MASSES[0]) / (2.0 * np.pi), rel=1e-3)
+    assert limit.critical_gain == pytest.approx(DAMPERS[0] / MASSES[0], rel=1e-6)
+    assert limit.critical_frequency == pytest.approx(np.sqrt(STIFFNESS[0] / MASSES[0]) / (2.0 * np.pi), rel=1e-6)
     assert limit.bandwidth == pytest.approx(limit.critical_gain / (4.0 * np.pi))
 
 

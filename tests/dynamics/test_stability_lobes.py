@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -97,6 +98,19 @@ def test_simulation_in_time_chatters_above_the_lobes_only(cutting: Cutting) -> N
         assert np.isfinite(depth)
         assert not _chatters(cutting, 0.9 * depth, speed), f"{speed} 1/s"
         assert _chatters(cutting, 1.12 * depth, speed), f"{speed} 1/s"
+
+
+@pytest.mark.parametrize("direction", ["up", "down"])
+@pytest.mark.parametrize("ae", [0.15, 0.8])
+def test_mean_forces_of_a_narrow_and_a_wide_cut(direction: Literal["up", "down"], ae: float) -> None:
+    """The force of each tooth by its own angle, as in the simulation, averaged over a revolution."""
+    cutting = Cutting(kc=6e8, kr=0.3, teeth=3, ae=ae, direction=direction)
+    swept = math.acos(1.0 - 2.0 * ae)
+    angles = np.linspace(0.0, swept, 20001) if direction == "up" else np.linspace(math.pi - swept, math.pi, 20001)
+    s, c = np.sin(angles), np.cos(angles)
+    forces = np.stack([[(-c - 0.3 * s) * s, (-c - 0.3 * s) * c], [(s - 0.3 * c) * s, (s - 0.3 * c) * c]])
+    expected = 6e8 * 3 / (2.0 * math.pi) * np.trapezoid(forces, angles, axis=-1)
+    np.testing.assert_allclose(cutting.coefficients, expected, atol=1e-7 * np.abs(expected).max())
 
 
 def _shaper() -> VibratingSystem:

@@ -18,7 +18,7 @@ from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.contact_catalogue import contacts
 from pm3dof_pin.elastic.contact_laws import ContactLaw
-from pm3dof_pin.elastic.hertz import MODULUS, POISSON, point_contact
+from pm3dof_pin.elastic.hertz import MODULUS, POISSON, ball_between_races, in_series, point_contact
 from pm3dof_pin.elastic.loaded import load_deflection
 from pm3dof_pin.elastic.springs import AxialSpring, ClosureSpring, JointSpring, read_springs
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
@@ -229,6 +229,36 @@ def test_contacts_of_the_catalogue() -> None:
         read_springs([base | {"contact": "glue"}], "f.yaml")
     with pytest.raises(DescriptionError, match="none beside a contact"):
         read_springs([base | {"stiffness": 1e8}], "f.yaml")
+
+
+def test_a_screw_bears_on_the_normals_of_its_grooves() -> None:
+    """Force of all balls at a small axial displacement, along the normals of a groove that runs up the helix."""
+    ball, diameter, lead, angle = 0.003175, 0.0165, 0.005, np.radians(45.0)
+    turns = np.linspace(0.0, 2.0 * np.pi * 3.0, 20001)
+    groove = np.stack([0.5 * diameter * np.cos(turns), 0.5 * diameter * np.sin(turns), lead / (2.0 * np.pi) * turns], 1)
+    count = np.linalg.norm(np.diff(groove, axis=0), axis=1).sum() / ball
+    along = (groove[1] - groove[0]) / np.linalg.norm(groove[1] - groove[0])
+    across = np.cross(along, [1.0, 0.0, 0.0])
+    normal = np.cos(angle) * np.array([1.0, 0.0, 0.0]) + np.sin(angle) * across / np.linalg.norm(across)
+    radius = 0.5 * (diameter - ball * np.cos(angle)) / np.cos(angle)  # of curvature, in the plane of the contact
+    curvatures = (1.0 / radius, -1.0 / (radius + ball))
+    one = ball_between_races(ball, 0.53, *curvatures)
+    force = count * one * abs(normal[2]) ** 1.5 * abs(normal[2])  # at a displacement of 1
+    assert contacts()["ball_screw_16x5"].coefficient == pytest.approx(force, rel=1e-4)
+
+
+def test_a_preloaded_ball_on_balls_all_around() -> None:
+    """Their forces add up to the preload over each hemisphere, their stiffness along one axis to the joint's."""
+    ball, diameter, count, preload = 0.0015875, 0.020, 200, 100.0
+    heights = 1.0 - (2.0 * np.arange(20000) + 1.0) / 20000  # evenly over a sphere, by Archimedes
+    one = in_series(
+        point_contact((2.0 / ball + 2.0 / diameter,) * 2),
+        point_contact((2.0 / ball - 2.0 / (diameter + 2.0 * ball),) * 2),
+    )
+    force = preload / (count * 0.5 * np.abs(heights).mean())
+    stiffness = count * (heights**2).mean() * 1.5 * one ** (2.0 / 3.0) * force ** (1.0 / 3.0)
+    found, _ = contacts()["spherical_joint_rolling_20"].spring()
+    assert found == pytest.approx(0.8 * stiffness, rel=1e-6)
 
 
 def test_the_command(run: Callable[..., Any], tmp_path: Path) -> None:

@@ -158,6 +158,25 @@ def test_consistent_masses_are_those_of_points_along_the_bending_line(
         np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+@pytest.mark.parametrize("elements", [2, 3, 5])
+def test_lumps_leave_the_clamp_half_an_element_that_does_not_turn(rigid_tree: RigidTree, elements: int) -> None:
+    """Of a thin bar M L^2 / 3 is all about its clamp: lumps of M / n there, half of one at the tip, are 1 / 6 n^2 more.
+
+    The body at the clamp keeps as much, so that it is left with half an element at the clamp and turns without inertia.
+    """
+    entries = [("slide", "universe", pin.SE3.Identity(), pin.JointModelPX()), ("end", "slide", UP, None)]
+    tree = rigid_tree(entries, tool_frame="end", actuated_joints=["slide_joint"])
+    rod = 0.5 * LENGTH**2 / 12.0 * np.diag([1.0, 1.0, 0.0])
+    tree.model.appendBodyToJoint(1, pin.Inertia(0.5, np.array([0.0, 0.0, 0.5 * LENGTH]), rod), pin.SE3.Identity())
+    bar = CantileverSpring("bar", "end", (0, 0, 1), EI, GJ, LENGTH, None, elements, mass=0.5, mass_model="lumped")
+    model = ElasticModel(tree, [JointSpring("belt", "slide_joint", 1e5, "N/m"), bar])
+    left = model.mechanism.model.inertias[1]
+    assert left.mass == pytest.approx(0.25 / elements)
+    np.testing.assert_allclose(left.mass * left.lever, 0.0, atol=1e-12)
+    about_clamp = left.inertia - left.mass * pin.skew(left.lever) @ pin.skew(left.lever)
+    np.testing.assert_allclose(about_clamp, 0.0, atol=1e-9 * 0.5 * LENGTH**2)
+
+
 def bar_on_a_slide(rigid_tree: RigidTree, mass: float) -> tuple[ElasticModel, pin.Inertia]:
     """A bar of 0.5 kg that a slide carries sideways, with 3 kg on its tip."""
     entries = [("slide", "universe", pin.SE3.Identity(), pin.JointModelPX()), ("end", "slide", UP, None)]

@@ -283,6 +283,15 @@ def test_numbers_of_the_file(tmp_path: object, tripod_errors: GeometricErrors) -
         ErrorSources(tripod_errors, wrench=[1.0, np.nan, 0, 0, 0, 0])
 
 
+@pytest.mark.parametrize("large", [False, True])
+def test_a_payload_is_a_dead_force(tripod_nominal: Poses, large: bool) -> None:
+    """A mass at the tool point deflects as its weight does."""
+    weight = np.tile([0.0, 0.0, -9.81 * 40.0, 0.0, 0.0, 0.0], (2, 1))
+    loaded = ElasticDeflection(own_weight=False, payload=40.0, large=large).displacements(tripod_nominal[:2])
+    pulled = ElasticDeflection(own_weight=False, large=large).displacements(tripod_nominal[:2], weight)
+    np.testing.assert_allclose(loaded, pulled, atol=1e-6 * np.abs(pulled).max())
+
+
 def test_a_hexapod_stands_where_its_energy_is_least() -> None:
     """Struts as springs between points, k (l - l0)^2 / 2, minus the work of a force: minimised by SciPy."""
     robot = Robot.load("hexapod")

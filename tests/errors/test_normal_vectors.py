@@ -43,6 +43,26 @@ def test_the_first_three_cumulants() -> None:
         assert found == pytest.approx(expected, rel=1e-10)
 
 
+def test_the_first_three_cumulants_with_a_part_of_either_sign() -> None:
+    """Moments of |m + e + c|^2 and |m + e - c|^2, by the cumulants of normal vectors, averaged."""
+    rng = np.random.default_rng(7)
+    root, mean, part = rng.standard_normal((3, 3)), np.array([0.4, -0.3, 0.8]), np.array([0.9, 0.5, -0.7])
+    normal = root @ root.T
+
+    def moments(shift: np.ndarray) -> np.ndarray:
+        k1 = np.trace(normal) + shift @ shift
+        k2 = 2.0 * np.trace(normal @ normal) + 4.0 * shift @ normal @ shift
+        k3 = 8.0 * np.trace(normal @ normal @ normal) + 24.0 * shift @ normal @ normal @ shift
+        return np.array([k1, k2 + k1**2, k3 + 3.0 * k2 * k1 + k1**3])
+
+    first, second, third = 0.5 * (moments(mean + part) + moments(mean - part))
+    k2, k3 = second - first**2, third - 3.0 * second * first + 2.0 * first**3
+    gamma = scipy.stats.gamma(4.0 * k2**3 / k3**2, scale=k3 / (2.0 * k2))
+    expected = np.sqrt(first + gamma.ppf(0.95) - gamma.mean())
+    found = norm_quantiles(mean, normal + np.outer(part, part), 0.95, part[:, None])
+    assert found == pytest.approx(expected, rel=1e-10)
+
+
 def test_a_coverage_below_one_half_is_refused() -> None:
     with pytest.raises(InvalidValueError, match="coverage"):
         norm_quantiles(np.zeros(3), np.eye(3), 0.4)

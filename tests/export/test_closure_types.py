@@ -228,6 +228,28 @@ def test_the_tables_of_the_documentation_are_up_to_date(name: str, table: Callab
     assert (Path(__file__).parents[2] / "docs" / "tables" / f"{name}.txt").read_text(encoding="utf-8") == table()
 
 
+def test_a_rod_of_another_length_than_at_zero_keeps_it_in_mujoco(tmp_path: Path) -> None:
+    """MuJoCo's own error of the constraint is the distance less the length, wherever the joints are."""
+    path = write_chain(tmp_path, "distance")
+    start = float(Robot.load(path).closures[0].length or 0.0)
+    (closures,) = tmp_path.glob("*.closures.yaml")
+    entries = yaml.safe_load(closures.read_text(encoding="utf-8"))
+    closures.write_text(yaml.safe_dump({**entries, "closure_lengths": [start + 0.01]}), encoding="utf-8")
+    robot = Robot.load(path)
+    (file,) = export_robot(path, "mjcf", tmp_path / "out")
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    for q in np.random.default_rng(4).uniform(-0.1, 0.1, (3, 9)):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        a, b = (robot.configuration(q).frame_placement(frame).translation for frame in _ends(robot))
+        np.testing.assert_allclose(data.efc_pos[0], np.linalg.norm(b - a) - start - 0.01, atol=1e-9)
+
+
+def _ends(robot: Robot) -> tuple[str, str]:
+    return robot.closures[0].frame_a, robot.closures[0].frame_b
+
+
 def test_mujoco_says_distances_and_sums_so_that_they_are_read_back(tmp_path: Path) -> None:
     path = write_chain(tmp_path, "distance", (_SUM,))
     (file,) = export_robot(path, "mjcf", tmp_path / "out")

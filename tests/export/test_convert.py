@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -167,6 +168,26 @@ def test_armature_and_gains_pass_from_mjcf_to_mjcf(tmp_path: Path) -> None:
     assert [loss for loss in done.losses if "drive" in loss or "armature" in loss] == []
     assert second.description.drives[0].gear == 30.0
     assert second.description.drives[0].proportional_gain == 200.0
+
+
+def test_actuators_of_any_gain_give_the_same_force_in_mujoco(tmp_path: Path) -> None:
+    """Of a control, a position and a velocity: gain u - kp q - kd v, and a gear."""
+    (tmp_path / "arm.xml").write_text(
+        """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="a">
+        <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/><joint name="j" axis="0 0 1"/>
+        </body></worldbody><actuator><general name="g" joint="j" gear="3" gainprm="7" biastype="affine"
+        biasprm="0 -5 -2"/></actuator></mujoco>"""
+    )
+    convert_robot(tmp_path / "arm.xml", tmp_path / "out.xml")
+    forces = []
+    for name in ("arm.xml", "out.xml"):
+        model = mujoco.MjModel.from_xml_path(str(tmp_path / name))
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = 0.3, -0.7, 1.1
+        mujoco.mj_forward(model, data)
+        forces.append(float(data.qfrc_actuator[0]))
+    assert forces[0] == pytest.approx(3.0 * (7.0 * 1.1 - 5.0 * 3.0 * 0.3 + 2.0 * 3.0 * 0.7))
+    assert forces[1] == pytest.approx(forces[0], rel=1e-12)
 
 
 def test_the_command_lists_what_is_lost(answer: Callable[..., Any], tmp_path: Path) -> None:

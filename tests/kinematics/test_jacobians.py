@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 import pm3dof_pin as pm
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, tool_coordinates
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics import jacobians
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.jacobians import jacobian, jacobian_program, motion_rates
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Engine
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
 from families import legs
@@ -146,3 +148,18 @@ def test_no_pose_of_many_legs_is_less_accurate(tmp_path: Path) -> None:
     found = jacobian(robot, poses, of="coordinates", by="tool").values
     own = jacobian(robot, poses, of="coordinates", by="tool", engine="pinocchio").values
     assert np.abs(found - own).max() <= 1e-12 * np.abs(own).max()
+
+
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+def test_derivatives_by_the_angles_of_a_turned_tool(engine: Engine) -> None:
+    """Differences of the Jacobian along rx, ry and rz, whose axes turn with each other."""
+    hexapod = pm.load("hexapod")
+    robot = hexapod.replace(coordinates=tool_coordinates(TOOL_COMPONENTS))  # its own are joints
+    at, step = np.array([0.004, -0.006, 0.135, 0.12, -0.2, 0.25]), 1e-5
+    poses = robot.solve(at)
+    found = pm.jacobian(robot, poses, of="commands", by="coordinates", with_derivatives=True, engine=engine)
+    assert found.derivatives is not None
+    for k in range(6):
+        ends = [robot.solve(at + sign * step * np.eye(6)[k]) for sign in (1.0, -1.0)]
+        ahead, back = (pm.jacobian(robot, end, of="commands", by="coordinates").values for end in ends)
+        np.testing.assert_allclose(found.derivatives[:, :, k], (ahead - back) / (2.0 * step), atol=1e-6)

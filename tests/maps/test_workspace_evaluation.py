@@ -90,6 +90,7 @@ def test_the_tripod(mechanism: Robot) -> None:
     for rank in found.springs:  # the true effect of a tenth more, solved again, is between both numbers
         true = w @ gains[:, names.index(rank.spring), AXES.index(rank.axis)]
         assert rank.gain_of_10_percent_at_least - 1e-6 <= true <= rank.gain_of_10_percent_at_most + 1e-6
+        assert rank.gain_of_10_percent_at_most == pytest.approx(0.1 * rank.mean_share)  # its tangent at no change
     for axis in AXES:
         ranks = [rank for rank in found.springs if rank.axis == axis]
         assert sum(rank.governs_part for rank in ranks) == pytest.approx(1.0)

@@ -218,6 +218,37 @@ def test_what_cannot_be_is_refused_with_lines(
         read_measurements(path, errors.robot)
 
 
+def test_pixels_by_both_focal_lengths_are_tangents() -> None:
+    """u = c_u + f_u X / Z, v = c_v + f_v Y / Z; noise is along u."""
+    x, y, z = np.array([[0.1, -0.2, 2.0], [0.3, 0.1, 1.5]]).T
+    focal_u, focal_v, centre_u, centre_v = 1500.0, 1200.0, 640.0, 360.0
+    cells = np.column_stack([centre_u + focal_u * x / z, centre_v + focal_v * y / z])
+    given = np.tile([focal_u, focal_v, centre_u, centre_v], (2, 1))
+    tangents, change = datum_kinds()["camera"].read(np.hstack([cells, given]))
+    np.testing.assert_allclose(tangents, np.column_stack([x / z, y / z]), atol=1e-12)
+    np.testing.assert_allclose(change, 1.0 / focal_u)
+
+
+@pytest.mark.parametrize("height", [0.4, -0.02])
+def test_the_square_of_a_height_above_a_plane_has_the_derivatives_of_finite_differences(height: float) -> None:
+    """Distances of points of a plane from a centre off it; below a height of zero they are too short for any place."""
+    generator, kind = np.random.default_rng(1), datum_kinds()["sphere"]
+    axes = Rotation.from_rotvec([0.3, -0.4, 0.2]).as_matrix()
+    points = np.column_stack([generator.normal(size=(8, 2)), np.zeros(8)]) @ axes
+    origin = axes.T @ [0.1, 0.2, height]
+    distances = np.linalg.norm(points - origin, axis=1)
+    datum = Datum(kind, 1, axes, origin, distances[:, None], np.ones(8), height, 0.7)
+    for k in range(3):
+        twist = 1e-6 * np.eye(3)[k]
+        ahead, back = (datum.moved(sign * twist).residuals(points) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(datum.by_placement(points)[:, :, k], -(ahead - back) / 2e-6, rtol=1e-6, atol=1e-7)
+    beyond = 0.01  # by so much the squares of the distances are below those from the plane itself
+    short = np.sqrt(np.sum((points - axes.T @ [0.1, 0.2, 0.0]) ** 2, axis=1) - beyond)
+    datum = Datum(kind, 1, axes, origin, short[:, None], np.ones(8), height, 0.7)
+    moved = datum.moved(np.array([0.0, 0.0, -(beyond + height**2) / (2.0 * 0.7)]))
+    np.testing.assert_allclose(moved.residuals(points), 0.0, atol=1e-12)
+
+
 def test_placements_and_points_have_the_derivatives_of_finite_differences() -> None:
     generator = np.random.default_rng(0)
     for entry in datum_kinds().values():

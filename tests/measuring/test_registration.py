@@ -69,6 +69,22 @@ def test_noise_turns_with_the_axes() -> None:
     sigmas = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]])
     squares = any_way.sigmas(sigmas).reshape(2, 3) ** 2
     np.testing.assert_allclose(squares.sum(axis=1), [14.0, 77.0])
+    # of independent errors along the instrument's axes, the diagonal of R S R^T in those of the base
+    turn = BASE.rotation  # takes what was seen, the rows of B, to unit vectors
+    expected = [np.diag(turn @ np.diag(part**2) @ turn.T) for part in sigmas.reshape(2, 3)]
+    np.testing.assert_allclose(squares, expected, rtol=1e-9)
+
+
+def test_a_base_found_elsewhere_in_its_own_axes() -> None:
+    """What is at p in the first base is at M^-1 p in the one at M in it."""
+    places = np.random.default_rng(0).normal(size=(5, 3))
+    found = register(np.array([BASE.act(place) for place in places]), places)
+    twist = np.array([0.3, -0.2, 0.5, 0.4, 1.1, -0.7])
+    motion = pin.SE3(pin.exp3(twist[3:]), twist[:3])
+    moved = found.moved(twist)
+    seen = np.array([BASE.act(place) for place in places])
+    np.testing.assert_allclose(moved.positions(seen), [motion.actInv(place) for place in places], atol=1e-9)
+    np.testing.assert_allclose(moved.base, (BASE * motion).homogeneous, atol=1e-9)
 
 
 @pytest.mark.usefixtures("few_folds")

@@ -134,6 +134,16 @@ def test_energy_is_what_lifting_and_cutting_take() -> None:
     assert np.trapezoid(power, found.columns["time_s"]) == pytest.approx(expected, rel=1e-4)
 
 
+def test_drives_that_brake_give_nothing_back() -> None:
+    """Energy of each drive: the integral of its power where that is positive."""
+    found = evaluate_path(pm.load("linear_delta"), smooth(pm.load("linear_delta")), PathOptions(payload=0.3))
+    time = found.columns["time_s"]
+    for k, drive in enumerate(found.summary["drives"], start=1):
+        power = found.columns[f"u{k}_power_W"]
+        assert (power < -0.1 * power.max()).any()
+        assert drive["driving_energy_J"] == pytest.approx(np.trapezoid(np.maximum(power, 0.0), time), rel=1e-2)
+
+
 def test_deflection_is_that_of_the_equilibrium_under_load(tmp_path: Path) -> None:
     robot = pm.load("hexapod")
     force = [30.0, -20.0, 60.0]

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, UnreachablePoseError
+from pm3dof_pin.paths import placement
 from pm3dof_pin.paths.bounds import MotionLimits
 from pm3dof_pin.paths.controller import controller_limits
 from pm3dof_pin.paths.cutting import Milling
@@ -59,6 +61,37 @@ def test_placed_path_is_legal_and_no_worse(goal: Any, tmp_path: Path) -> None:
     if goal == "accurate":
         cutting = ~placed.path.rapid[placed.points.moves]
         assert placed.columns["expected_error_m"][cutting].max() == pytest.approx(found.cost, rel=1e-2)
+
+
+def test_a_workpiece_that_is_placed_already_moves_as_a_whole(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Read again with the placements found, the program is where the motion takes the first one."""
+    monkeypatch.setattr(placement, "_POPULATION", 4)
+    monkeypatch.setattr(placement, "_GENERATIONS", 3)
+    robot, file = pm.load("linear_delta"), tmp_path / "part.ngc"
+    file.write_text("G21 G55\nG1 X-10 Y5 F600\nX10 Y-20\nM2\n")
+    start = np.eye(4)
+    start[:3, :3] = Rotation.from_euler("z", 40.0, degrees=True).as_matrix()
+    start[:3, 3] = [0.06, -0.05, 0.03]
+    path = read_path(robot, file, workpiece={55: start})
+    found = place_path(robot, path, "fastest", turn=True)
+    assert found.variables == ("x", "y", "rz")  # the program does not say at which height
+    assert not np.allclose(found.motion, np.eye(4), atol=1e-3)
+    moves, end = np.arange(len(path)), np.ones(len(path))
+    before, after = (
+        each.values(moves, end)[:, :3] for each in (path, read_path(robot, file, workpiece=found.workpiece))
+    )
+    np.testing.assert_allclose(after, before @ found.motion[:3, :3].T + found.motion[:3, 3], atol=1e-12)
+
+
+def test_a_workpiece_above_the_reach_of_a_tripod_is_lowered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A table moves it along x, where it is as far off as the tripod reaches up."""
+    monkeypatch.setattr(placement, "_POPULATION", 4)
+    monkeypatch.setattr(placement, "_GENERATIONS", 3)
+    robot, file = pm.load("pm3dof"), tmp_path / "line.ngc"
+    file.write_text("G21\nG1 X440 Z900 F600\nX460\nM2\n")
+    found = place_path(robot, read_path(robot, file), "stiffest", PathOptions(table=("x", "y")))
+    assert found.variables == ("z",)
+    assert robot.solve([0.0, 0.0, 0.9 + found.motion[2, 3]]).within_limits
 
 
 def test_what_cannot_be_placed_is_refused(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from pm3dof_pin.exceptions import CalibrationRefusedError, MeasurementError, Out
 from pm3dof_pin.printers.firmware import is_of_firmware, read_firmware
 from pm3dof_pin.printers.m665 import GCodeLog
 from pm3dof_pin.printers.printer_calibration import calibrate_printer
+from pm3dof_pin.printers.touches import Touches
 
 BASE = np.radians([210.0, 330.0, 90.0])
 MICROSTEP = 40.0 / (200.0 * 16.0)  # [mm]
@@ -216,6 +217,13 @@ def analysed(believed: Delta, truth: Delta, noise: np.random.Generator) -> str:
         for number, end in enumerate(ends, start=1):
             lines.append(f"#*# distance{k}_pos{number} = {','.join(f'{v:.3f}' for v in end / MICROSTEP)}")
     return "\n".join(lines)
+
+
+def test_touches_and_distances_have_noise_of_their_own() -> None:
+    """A probe repeats to 25 um, a caliper to 50."""
+    place = np.array([[-0.1, -0.1, -0.1], [-0.1, -0.11, -0.1]])
+    touches = Touches.of(place, np.zeros(2), [(0.1, place[0], place[1])])
+    np.testing.assert_allclose(touches.sigmas, [25e-6, 25e-6, 50e-6])
 
 
 @pytest.mark.parametrize("longer", [0.0, 1.5])
@@ -454,6 +462,13 @@ def test_logs_of_g_code(firmware: str, arms: tuple[float, ...], tmp_path: Path) 
     again = read_firmware(
         tmp_path / "log.g", found.file.with_printer(found.after) + "Bed X: 0 Y: 0 Z: 0" * (sign < 0.0)
     )
+    written = re.search(r"M666 X(\S+) Y(\S+) Z(\S+)", found.file.with_printer(found.after))
+    assert written is not None
+    corrections = [float(value) for value in written.groups()]
+    if firmware == "Marlin":  # which refuses others, as carriages only move back
+        assert max(corrections) == 0.0
+    else:
+        assert sum(corrections) == pytest.approx(0.0, abs=2e-4)
     np.testing.assert_allclose(again.printer().end_stops, found.after.end_stops, atol=1e-7)
     np.testing.assert_allclose(again.printer().angles, found.after.angles, atol=1e-5)
     np.testing.assert_allclose(again.printer().arms, found.after.arms, atol=1e-7)

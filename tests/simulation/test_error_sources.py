@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +25,15 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.simulation.simulated_machine import Conditions, GeometricSource, SimulatedMachine, _with_all_parameters
+from pm3dof_pin.simulation.simulated_machine import (
+    Conditions,
+    GeometricSource,
+    MachineDrift,
+    SimulatedMachine,
+    _with_all_parameters,
+)
+
+MACHINES = Path(__file__).parents[1] / "machines"
 
 HOME = [0.240272] * 3
 
@@ -115,6 +124,30 @@ def test_measurements_scatter_by_their_covariance_and_repeat_with_their_seed(tri
     exact = one.measure(commands[:2], np.random.default_rng(0), instrument=Instrument("pose", 1e-15, 1e-15))
     np.testing.assert_allclose(exact, tripod_errors.robot.forward(commands[:2]).transforms, atol=1e-12)
     assert np.linalg.norm(pin.log3(exact[0, :3, :3].T @ exact[1, :3, :3])) < 1e-12
+
+
+@pytest.mark.parametrize("name", ["pm3dof", str(MACHINES / "three_rpr")])
+def test_zeros_drift_in_proportion_to_time(name: str) -> None:
+    """Three hours, three times as far from the counter, in the joint's unit; some count micrometres backwards."""
+    robot = Robot.load(name)
+    rates = 1e-5 * np.arange(1.0, len(robot.commands) + 1.0)
+    machine = SimulatedMachine(robot, drift=MachineDrift(rates))
+    scales = np.array([command.scale for command in robot.commands])
+    expected = robot.forward(robot.home.commands + 3.0 * scales * rates).transforms
+    found = machine.poses(robot.home.commands[None], Conditions(hours=3.0))[0]
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
+def test_screws_warm_in_proportion_to_time(tripod_errors: GeometricErrors) -> None:
+    """Half a kelvin an hour beyond what was measured."""
+    robot = tripod_errors.robot
+    growing = SimulatedMachine(robot, thermal=ThermalGrowth(np.full(3, 0.1)))
+    warming = replace(growing, drift=MachineDrift(np.zeros(3), warming=0.5))
+    commands = robot.home.commands[None]
+    expected = growing.poses(commands, Conditions(temperature_rises=1.0 + 0.5 * 4.0))
+    found = warming.poses(commands, Conditions(temperature_rises=1.0, hours=4.0))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert not np.allclose(found, growing.poses(commands, Conditions(temperature_rises=1.0)), rtol=0.0, atol=1e-7)
 
 
 def test_conditions_are_checked(tripod_errors: GeometricErrors) -> None:

@@ -9,9 +9,17 @@ import pytest
 
 from pm3dof_pin.exceptions import InvalidValueError, RigidDirectionError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.viewer import Viewer
-from pm3dof_pin.viewer.ellipsoids import DrawnEllipsoid, block, round_length, round_scale
+from pm3dof_pin.viewer import Viewer, objects
+from pm3dof_pin.viewer.ellipsoids import (
+    DrawnEllipsoid,
+    block,
+    draw_ellipsoid,
+    motion_block,
+    round_length,
+    round_scale,
+)
 from pm3dof_pin.viewer.panel import numbers_with_unit, scale_text
+from pm3dof_pin.viewer.scene import Scene
 
 
 def random_stiffness(seed: int) -> np.ndarray:
@@ -37,6 +45,36 @@ def test_blocks(kind: str) -> None:
         ):
             found = block(given["stiffness"], given["compliance"], kind, of, others)
             np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_forces_on_the_ellipsoid_take_drives_of_unit_norm() -> None:
+    """Rates M u of unit norm u, and forces f with |M^T f| = 1 by virtual work, both for unit vectors of the sphere."""
+    generator = np.random.default_rng(2)
+    motions = generator.normal(size=(6, 5))
+    sphere = generator.normal(size=(3, 10))
+    sphere /= np.linalg.norm(sphere, axis=0)
+    for kind, rows in (("translation", slice(0, 3)), ("rotation", slice(3, 6))):
+        forces = motion_block(motions, kind, "force") @ sphere
+        np.testing.assert_allclose(np.linalg.norm(motions[rows].T @ forces, axis=0), 1.0, rtol=1e-9)
+        rates = np.linalg.lstsq(motions[rows], motion_block(motions, kind, "velocity") @ sphere)[0]
+        np.testing.assert_allclose(np.linalg.norm(rates, axis=0), 1.0, rtol=1e-9)
+
+
+def test_rings_are_in_the_three_principal_planes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of radius 1, each beside the ends of the axes."""
+    drawn: list[np.ndarray] = []
+    lines = objects.line_segments
+
+    def kept(points: np.ndarray, *args: Any, **options: Any) -> Any:
+        drawn.append(points)
+        return lines(points, *args, **options)
+
+    monkeypatch.setattr(objects, "line_segments", kept)
+    draw_ellipsoid(Scene(), "/ellipsoid", "translation")
+    points = drawn[0][6:]
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1.0, rtol=1e-12)
+    flat = points.reshape(3, -1, 3) == 0.0
+    assert sorted(int(np.flatnonzero(ring.all(axis=0))[0]) for ring in flat) == [0, 1, 2]
 
 
 def test_exactly_one_matrix() -> None:

@@ -8,7 +8,7 @@ import pytest
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.viewer.legs import ColouredLegs
+from pm3dof_pin.viewer.legs import ColouredLegs, _actuator
 
 
 def test_legs_of_the_tripod(mechanism: Robot) -> None:
@@ -52,3 +52,15 @@ def test_other_robots(robot: str, legs: int) -> None:
     model = ElasticModel(Robot.load(robot))
     assert len(ColouredLegs(model).springs) == legs
     assert sorted(name for springs in ColouredLegs(model).springs for name in springs) == sorted(model.spring_names)
+
+
+def test_a_body_behind_two_drives_is_moved_by_neither_alone() -> None:
+    """A branch with two drives and a hinge at its end, and one with a drive between hinges."""
+    model, parent = pin.Model(), 0
+    model.name = "branches"
+    for name in ("a1", "a2", "a3", "b1", "b2", "b3"):
+        parent = model.addJoint(0 if name == "b1" else parent, pin.JointModelRX(), pin.SE3.Identity(), name)
+        model.addFrame(pin.Frame(f"{name}_link", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    robot = Robot(model, [], actuated_joints=["a1", "a2", "b2"], tool_frame="a3_link")
+    found = [_actuator(robot, model.getJointId(name)) for name in ("a1", "a2", "a3", "b1", "b2", "b3")]
+    assert found == [0, 1, None, 2, 2, 2]
