@@ -58,6 +58,11 @@ class GeometricParameter:
         """Return "m" or "rad"."""
         return "m" if self.motion == "translation" else "rad"
 
+    @property
+    def parts(self) -> tuple[tuple[GeometricParameter, float], ...]:
+        """Itself with the factor 1, as those of a :class:`TiedParameter`."""
+        return ((self, 1.0),)
+
 
 @dataclass(frozen=True)
 class TiedParameter:
@@ -336,15 +341,11 @@ class GeometricErrors:
 
 def _components(errors: GeometricErrors) -> tuple[GeometricErrors, Matrix]:
     """Return the displacements of single places that parameters consist of, and their values by one unit of each."""
-    parts = [
-        parameter.parts if isinstance(parameter, TiedParameter) else ((parameter, 1.0),)
-        for parameter in errors.parameters
-    ]
-    every = {(part.place, part.motion, part.axis): part for own in parts for part, _ in own}
+    every = {(part.place, part.motion, part.axis): part for own in errors.parameters for part, _ in own.parts}
     numbers = {key: k for k, key in enumerate(every)}
-    combinations = np.zeros((len(every), len(parts)))
-    for column, own in enumerate(parts):
-        for part, factor in own:
+    combinations = np.zeros((len(every), len(errors)))
+    for column, parameter in enumerate(errors.parameters):
+        for part, factor in parameter.parts:
             combinations[numbers[part.place, part.motion, part.axis], column] += factor
     named = [replace(part, name=f"{k}") for k, part in enumerate(every.values())]
     return GeometricErrors(errors.robot, named, fixed_bearings=errors.fixed_bearings), frozen(combinations)
@@ -435,20 +436,18 @@ def _check(robot: Robot, parameters: Sequence[GeometricParameter | TiedParameter
         if count > 1:
             raise InvalidValueError("geometric parameter", name, "each name once")
     for parameter in parameters:
-        if isinstance(parameter, TiedParameter) and len({part.motion for part, _ in parameter.parts}) != 1:
+        if len({part.motion for part, _ in parameter.parts}) != 1:
             raise InvalidValueError(parameter.name, "its parts", "translations only, or rotations only, at least one")
-        if isinstance(parameter, TiedParameter):
-            if twice := _repeated(parameter.parts):
-                raise InvalidValueError(f"parts of {parameter.name}", twice, "each displacement once")
-            for part, factor in parameter.parts:
-                if not (math.isfinite(factor) and factor != 0.0):
-                    raise InvalidValueError(f"factor of {part.name} in {parameter.name}", factor, "finite and not 0")
-        for part in [part for part, _ in parameter.parts] if isinstance(parameter, TiedParameter) else [parameter]:
+        if twice := _repeated(parameter.parts):
+            raise InvalidValueError(f"parts of {parameter.name}", twice, "each displacement once")
+        for part, factor in parameter.parts:
+            if not (math.isfinite(factor) and factor != 0.0):
+                raise InvalidValueError(f"factor of {part.name} in {parameter.name}", factor, "finite and not 0")
             if part.place in robot.rods and (part.motion, part.axis) != ("translation", _ROD_AXIS):
                 expected = f"a translation along x, which is {part.place}.t{_ALONG}, as for every rod"
                 raise InvalidValueError(part.name, f"a {part.motion} of axis {part.axis}", expected)
-        if not abs(math.hypot(*parameter.axis) - 1.0) <= _UNIT:
-            raise InvalidValueError(f"axis of {parameter.name}", parameter.axis, "a unit vector")
+            if not abs(math.hypot(*part.axis) - 1.0) <= _UNIT:
+                raise InvalidValueError(f"axis of {part.name}", part.axis, "a unit vector")
         if not (np.isfinite(parameter.tolerance) and parameter.tolerance > 0.0):
             raise InvalidValueError(f"tolerance of {parameter.name}", parameter.tolerance, "a positive number")
 

@@ -238,8 +238,10 @@ def _losses(document: RobotDocument, file: Path, zeros: Mapping[str, float]) -> 
         yield f"joint {old} is called {new}, since a link or frame has its name"
     for joint in document.described.joints:
         other = again.description.joint_by_name.get(joint.name, joint)
-        if joint.type in ("floating", "planar") and other.type != joint.type:
-            yield f"joint {joint.name}, {joint.type}, is read back as slides or turns in a row, with limits and masses"
+        if joint.dof > 1 and other.type != joint.type:
+            singular = "" if joint.type == "planar" else ", singular where the turn about y is 90 deg"
+            parts = f"slides or turns in a row, with limits and masses{singular}"
+            yield f"joint {joint.name}, {joint.type}, is read back as {parts}"
     types = [", ".join(loop.type for loop in which.closures) or "none" for which in (robot, again)]
     if Counter(types[0].split(", ")) != Counter(types[1].split(", ")):
         yield f"closures {types[0]} are read back as {types[1]}"

@@ -17,7 +17,7 @@ from pm3dof_pin.typing import Array, Matrix, Vector
 
 _ROUNDING = 1e-9
 _FURTHER_STARTS = 16  # for the inverse kinematics of a serial arm
-_NEAREST = 4  # poses from which one is sought, of many that serve
+_NEAREST = 4  # poses of the lattice from which one is sought: a singular pose may lie between it and the nearest
 _WAYPOINTS = 1000
 _FEWEST_ALONG, _MAX_WAYPOINTS = 3, 10_000  # along each coordinate; in all, or there are none
 _WIDTH = 3.0  # of the waypoint lattice on both sides of home, unless joints end earlier [characteristic lengths]
@@ -150,12 +150,11 @@ def _waypoint_lattice(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...
 def _nearest_poses(
     robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], values: Matrix, q: Matrix, targets: Matrix
 ) -> Iterator[Matrix]:
-    """Yield the poses q whose coordinates are nearest to each target, shape=(n, nq), then others if any serves."""
+    """Yield the poses q whose coordinates are nearest to each target, shape=(n, nq), then those next to it."""
     from scipy.spatial import KDTree  # slow to load
 
-    count = min(_NEAREST if robot.has_null_motions(coordinates) else 1, len(q))
     units = coordinate_scales(robot, coordinates)
-    if count:
+    if count := min(_NEAREST, len(q)):
         ranks = np.arange(1, count + 1)
         _, nearest = KDTree(values / units).query(np.nan_to_num(targets / units), k=ranks, p=np.inf)
         yield from (q[numbers] for numbers in nearest.T)

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.kinematics.branches import branches_of
 from pm3dof_pin.mechanism.configuration import LIMIT_TOLERANCE, Configuration
 from pm3dof_pin.mechanism.scratch_data import scratch_data
@@ -101,16 +101,26 @@ class Poses:
         return batch._mapped(lambda values: values[index])
 
     def reshape(self, *shape: int) -> Poses:
-        """Return the same poses in another shape."""
+        """Return the same poses in another shape.
+
+        Raises:
+            ShapeError: it has another number of poses.
+        """
         dimensions = len(self.shape)
-        return self._mapped(lambda values: values.reshape((*shape, *values.shape[dimensions:])))
+        try:
+            return self._mapped(lambda values: values.reshape((*shape, *values.shape[dimensions:])))
+        except ValueError:
+            raise ShapeError("poses", self.shape, f"as many as in the shape {shape}") from None
 
     def configuration(self, index: int | tuple[int, ...] = ()) -> Configuration:
         """Return the configuration at an index.
 
         Raises:
             InvalidValueError: the pose was not solved.
+            ShapeError: the index is of several poses.
         """
+        if several := self.q[index].shape[:-1]:
+            raise ShapeError(f"poses {index}", several, "the index of one pose; reshape(-1) puts all in a row")
         return self.robot.configuration(self.q[index])
 
     @cached_property

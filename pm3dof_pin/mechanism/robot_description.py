@@ -44,9 +44,11 @@ def read_source(
     """
     if isinstance(source, ModuleType):
         source = path_of_module(source)
+    closures = tuple(closures)
+    if closures and not isinstance(source, pin.Model):
+        problem = "are for a pinocchio.Model; those of a description are part of it"
+        raise InvalidValueError("closures", problem=problem)
     if isinstance(source, (str, Path)):
-        if closures := tuple(closures):
-            raise InvalidValueError("closures", problem="are for a pinocchio.Model; those of a file stand in it")
         files = find_robot(source, package_paths, xacro_args)
         return _arguments_of(reading.read_description(files, lenient=lenient), tool_frame, hold_base)
     if given := [name for name, value in (("package_paths", package_paths), ("xacro_args", xacro_args)) if value]:

@@ -1,6 +1,6 @@
 """The languages that programs are printed in. A further one is a file with such a function, and a line here.
 
-`tests/programs` runs random programs, and the walks of all robots, in each of them.
+Tests of its own run random programs, and the walks of all robots, in each of them: see `tests/programs`.
 """
 
 from __future__ import annotations

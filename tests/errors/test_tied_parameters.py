@@ -96,7 +96,12 @@ def test_ties_made_in_python_are_checked_too(tied: GeometricErrors) -> None:
     radius = next(parameter for parameter in tied.parameters if parameter.name == "radius")
     assert isinstance(radius, TiedParameter)
     (first, _), *others = radius.parts
-    for parts, word in ((((first, 0.0), *others), "not 0"), (((first, 1.0), *radius.parts), "once")):
+    longer = replace(others[0][0], axis=(2.0, 0.0, 0.0))  # would count twice
+    for parts, word in (
+        (((first, 0.0), *others), "not 0"),
+        (((first, 1.0), *radius.parts), "once"),
+        (((first, 1.0), (longer, 1.0)), f"axis of {longer.name} .*unit vector"),
+    ):
         with pytest.raises(PM3DofError, match=word):
             GeometricErrors(tied.robot, [replace(radius, parts=parts)])
 

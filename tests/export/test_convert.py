@@ -224,6 +224,19 @@ def test_joints_may_have_the_names_of_links_and_springs(tmp_path: Path, dialect:
             assert "Valid" in done.stdout, done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("dialect", _SUFFIX)
+def test_a_ball_in_the_tree_is_listed_as_three_turns(tmp_path: Path, dialect: str) -> None:
+    """The turns are singular with the middle one at 90 degrees, and the bodies between them have masses."""
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco model="arm"><worldbody><body name="arm"><joint name="shoulder" type="ball"/>'
+        '<geom size="0.1" mass="1"/></body></worldbody></mujoco>'
+    )
+    target = tmp_path / "out" / f"robot{_SUFFIX[dialect]}"
+    target.parent.mkdir()
+    losses = convert_robot(tmp_path / "arm.xml", target, dialect=dialect).losses
+    assert [loss for loss in losses if "shoulder, spherical" in loss and "turn about y is 90 deg" in loss], losses
+
+
 def test_a_hinge_on_the_base_stays_one_in_sdf(tmp_path: Path) -> None:
     """SDF says it as a joint between the links, on which the chain then ends: the loop is cut elsewhere."""
     links = "".join(

@@ -13,7 +13,7 @@ from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.elastic.batch import compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import InvalidValueError, ShapeError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses as draw
 from pm3dof_pin.kinematics.robot import Robot
@@ -159,6 +159,10 @@ def test_a_single_pose_is_like_a_batch_of_one(mechanism: Robot) -> None:
         pose[1]
     batch = mechanism.solve([[0.1, -0.2, 0.5], [0.0, 0.0, 0.5]])
     assert (len(batch), batch[1].shape, len(batch[1]), len(batch[:0])) == (2, (), 1, 0)
+    with pytest.raises(ShapeError, match=r"poses of shape \(2,\): expected as many as in the shape \(3, 5\)"):
+        batch.reshape(3, 5)
+    with pytest.raises(ShapeError, match=r"poses 0 of shape \(2,\): expected the index of one pose"):
+        list(batch.reshape(1, 2))
 
 
 def test_two_loads_of_a_robot_are_one_robot(mechanism: Robot) -> None:

@@ -127,6 +127,9 @@ def test_constraint_models_of_pinocchio_close_loops() -> None:
         pm.load(model, closures=["left"])
     with pytest.raises(InvalidValueError, match=r"closures are for a pinocchio\.Model"):
         pm.load("hexapod", closures=anchors)
+    for source in (delta.description, mujoco.MjModel.from_xml_string(LEG)):
+        with pytest.raises(InvalidValueError, match=r"closures are for a pinocchio\.Model"):
+            pm.load(source, closures=anchors)
 
 
 def test_a_module_of_robot_descriptions_names_a_file() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,14 @@ def test_values_of_parameters(program: Program) -> None:
     for printer in PRINTERS.values():
         with pytest.raises(ShapeError, match="1 values"):
             printer(program, parameters=[1.0, 2.0])
+
+
+@pytest.mark.parametrize("file", ["test_agreement.py", "test_walk.py"])
+def test_programs_and_walks_are_run_in_every_language(file: str) -> None:
+    """By a test named after the module that prints it."""
+    text = Path(__file__).with_name(file).read_text(encoding="utf-8")
+    modules = [printer.__module__.rpartition(".")[2] for printer in PRINTERS.values()]
+    assert [name for name in modules if f"\ndef test_{name}(" not in text] == []
 
 
 def test_outputs_may_take_the_place_of_inputs_in_c(program: Program, compiled_c: Callable[[str], Any]) -> None:
