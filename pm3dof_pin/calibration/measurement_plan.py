@@ -2,11 +2,13 @@
 
 Candidates are within all limits and declared ranges, touch what the instrument touches, and keep away from singular
 poses, where errors of the parts move the tool several times as far as usual: D-optimal poses would seek these. Machines
-with errors of three tolerances are assembled at the poses chosen; candidates at which one cannot be are replaced.
+with errors of three tolerances are assembled at the poses chosen; candidates at which one cannot be are replaced, and
+if that does not end, all at which one cannot be are left out.
 """
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,6 +29,7 @@ from pm3dof_pin.calibration.planning import (
     order_with_references,
 )
 from pm3dof_pin.calibration.rehearsal import Rehearsal
+from pm3dof_pin.calibration.sag import sag_in_words
 from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing
 from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.error_map import error_map
@@ -63,7 +66,7 @@ MANY_PARAMETERS = 300
 
 _STARTS, _FEWER_STARTS = 10, 3  # of exchanging poses, of robots of few parameters and of many
 _TESTS = 300
-_ROUNDS = 8  # of replacing poses at which some machine cannot be assembled
+_ROUNDS = 8  # of replacing poses at which some machine cannot be assembled, before all candidates are tried
 _USUAL = 1.2  # times the median sensitivity: poses below it are never left out for being as sensitive as another
 _FEWEST = 0.3  # fraction of the candidates that must remain
 _NAMED = 4  # unknowns in a message
@@ -109,6 +112,11 @@ class MeasurementPlan:
     def by_strategy(self) -> dict[Strategy, float]:
         """Predicted tip error with as many poses of each strategy, rms [m]; NaN with too few candidates."""
         return {name: self._predicted(name) for name in STRATEGIES}
+
+    @cached_property
+    def sag(self) -> str:
+        """How far the bodies' weight moves the tool, in words, where that may refuse a calibration; otherwise ""."""
+        return sag_in_words(self.problem.errors, self.plan.poses, self.problem.tested.map.eta)
 
     def _predicted(self, strategy: Strategy) -> float:
         if strategy == self.plan.strategy:
@@ -223,7 +231,7 @@ def plan_measurements(
     wrenches = None
     if wrench is not None:
         wrenches = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (len(choices), 6)) * np.asarray(wrench)
-    for _ in range(_ROUNDS):
+    for attempt in itertools.count(1):
         problem = PlanningProblem(
             errors,
             choices,
@@ -241,18 +249,21 @@ def plan_measurements(
         open_ = ~assembled(errors, plan.poses, machines, seed)
         if not open_.any():
             break
-        # where one machine cannot be assembled, no other pose as sensitive as that is taken either
-        kept = np.ones(len(choices), dtype=bool)
-        kept[plan.indices[open_]] = False
-        tighter = kept & (sizes < max(_USUAL, float(sizes[plan.indices[open_]].min())))
-        kept = tighter if among is None and tighter.sum() > _FEWEST * len(kept) else kept
+        if attempt == _ROUNDS:
+            kept = assembled(errors, choices, machines, seed)
+            if kept.sum() < count:
+                raise UnreachablePoseError(
+                    f"{robot.name}: machines {OUT_OF_TOLERANCE:g} tolerances out can be assembled at {int(kept.sum())} "
+                    f"of {len(kept)} poses to choose from, and {count} are planned; a greater margin leaves out the "
+                    "ends of the ranges"
+                )
+        else:  # where one machine cannot be assembled, no other pose as sensitive as that is taken either
+            kept = np.ones(len(choices), dtype=bool)
+            kept[plan.indices[open_]] = False
+            tighter = kept & (sizes < max(_USUAL, float(sizes[plan.indices[open_]].min())))
+            kept = tighter if among is None and tighter.sum() > _FEWEST * len(kept) else kept
         dropped += int((~kept).sum())
         choices, sizes, wrenches = choices[kept], sizes[kept], None if wrenches is None else wrenches[kept]
-    else:
-        raise UnreachablePoseError(
-            f"{robot.name}: machines {OUT_OF_TOLERANCE:g} tolerances out cannot be assembled at {int(open_.sum())} of "
-            f"{count} planned poses; a greater margin leaves out the ends of the ranges"
-        )
     _require_sight(plan.poses, instrument)
     _require_places(problem, plan)
     order = np.arange(count) if references is None else order_with_references(plan.poses, references, seed)

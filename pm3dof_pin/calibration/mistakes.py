@@ -15,11 +15,11 @@ import numpy as np
 
 from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip_weights
-from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
+from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Indices
 
 _LENGTHS = {"millimetres": 1e-3, "inches": 25.4e-3, "centimetres": 1e-2}
 _SAME_SIZE = 0.2  # relative difference of sizes for which a unit can be right
@@ -184,10 +184,17 @@ def _counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterato
 
 
 def changes_in_the_middle(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Yield changes in the middle of a file: of the instrument's place, or of the point seen."""
+    """Yield changes in the middle of a file: of the instrument's place, or of the point seen; none in short files."""
+    if not _middle(measurements).size:
+        return
     kinds = {"the instrument or the base has moved": slice(6), "the point seen is elsewhere on the tool": slice(6, 9)}
     for what, columns in kinds.items():
         yield _change(measurements, nominal, eta, what, columns)
+
+
+def _middle(measurements: Measurements) -> Indices:
+    """Return the last rows of visits with enough before and after them."""
+    return np.flatnonzero(np.diff(measurements.visit_numbers) != 0)[_MIN_ROWS - 1 : -_MIN_ROWS]
 
 
 def _change(measurements: Measurements, nominal: Poses, eta: float, what: str, columns: slice) -> Mistake:
@@ -198,9 +205,7 @@ def _change(measurements: Measurements, nominal: Poses, eta: float, what: str, c
     # over the rows up to each, and over all later ones
     sums = np.cumsum(np.swapaxes(rows, 1, 2) @ rows, axis=0)
     inverses = np.linalg.pinv(np.stack([sums, sums[-1] - sums]), rcond=1e-9, hermitian=True)
-    ends = np.flatnonzero(np.diff(measurements.visit_numbers) != 0)[_MIN_ROWS - 1 : -_MIN_ROWS]
-    if not ends.size:
-        raise InvalidValueError("measurements", len(measurements), f"{2 * _MIN_ROWS} poses or more")
+    ends = _middle(measurements)
     moved, change, first = measurements, np.zeros(motions.shape[2]), 0
     for _ in range(_STEPS):
         residuals = moved.residuals(nominal)[:, : seen.shape[1]] * seen

@@ -13,8 +13,8 @@ from pm3dof_pin.calibration.identification import PRIOR, ROUGHLY, Identification
 from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.mistakes import Mistake, changes_in_the_middle, usual_mistakes
 from pm3dof_pin.calibration.pseudo_error import seen_errors
+from pm3dof_pin.calibration.sag import sag_in_words
 from pm3dof_pin.calibration.scatter import COVERAGE
-from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
@@ -138,7 +138,7 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
     elif (size := _strain(calibration)) > STRAIN:
         reasons.append(
             f"the best-fitting parameters are {size * prior:.3g} tolerances (root mean square) from the description: "
-            f"{_sag_in_words(calibration) or 'another machine, or another frame'}"
+            f"{_sag(calibration) or 'another machine, or another frame'}"
         )
     if (chance := calibration.chance_of_harm) > 1.0 - COVERAGE:
         why = _noise_in_words(calibration) or (
@@ -203,24 +203,10 @@ def _left_over(calibration: Fit) -> float:
     return float(np.median(sizes))
 
 
-def _sag_in_words(calibration: Fit) -> str:
-    """Say by how much the bodies' weight moves the tool, if by more than errors of one tolerance; "" otherwise."""
-    found, eta = calibration.identification, calibration.options.eta
-    if not found.errors.robot.springs:
-        return ""
-    poses = found.poses[found.measurements.first_rows][:_POSES]
-    try:
-        sag = ElasticDeflection().displacements(poses)
-    except PM3DofError:
-        return ""
-    size = float(np.median(np.hypot(np.linalg.norm(sag[:, :3], axis=1), eta * np.linalg.norm(sag[:, 3:], axis=1))))
-    possible = _possible_error(found.errors, found.measurements, eta, 1.0)
-    if size <= possible:
-        return ""
-    return (
-        f"by the springs of the description the weight of the bodies alone moves the tool by {1e3 * size:.3g} mm, more "
-        f"than errors of one tolerance, {1e3 * possible:.3g} mm (medians), and no parameter describes that"
-    )
+def _sag(calibration: Fit) -> str:
+    """Say how far the bodies' weight moves the tool at the measured poses, see :func:`sag_in_words`."""
+    errors, eta = calibration.compensation.errors, calibration.options.eta
+    return sag_in_words(errors, errors.robot.forward(calibration.measurements.visits.commands[:_POSES]), eta)
 
 
 def _strain(calibration: Fit) -> float:

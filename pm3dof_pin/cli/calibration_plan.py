@@ -148,6 +148,8 @@ def calibration_plan(
             f"pm3dof: {result['poses']} poses leave nothing to check a calibration by, which will be refused: plan "
             "more (--poses), or identify fewer parameters (error-parameters --preset, then --errors)"
         )
+    if found.sag:
+        message(f"pm3dof: {found.sag}: a calibration is refused if parameters within their tolerances cannot follow it")
 
 
 def _draw(problem: PlanningProblem, minimum: int, path: Path, formats: list[PictureFormat] | None) -> list[Path]:

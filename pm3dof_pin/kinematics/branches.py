@@ -19,6 +19,7 @@ Pinocchio's Jacobians.
 
 from __future__ import annotations
 
+import itertools
 import random
 from functools import cached_property
 
@@ -31,7 +32,7 @@ from pm3dof_pin.exceptions import AmbiguousHomeError, ConvergenceError, ProgramE
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, LoopSystem, connected, split, stacked
+from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, LoopSystem, connected, sign_weights, split, stacked
 from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
 from pm3dof_pin.tolerances import SIGN
 from pm3dof_pin.typing import Matrix, Vector
@@ -107,20 +108,26 @@ class Branches:
         if not self._robot.has_branches:
             return ()
         own = any(system.is_determined for system in self._systems)
-        found = {self.kind(1)} if own else set()
+        found = {self._kind_of_loops} if own else set()
         return tuple(sorted(found | ({"parallel"} if self._blocks else set()), reverse=True))
 
     def number(self, q: Vector) -> int:
-        """Return the number of the branch of a closed configuration: 0 for that of the start, otherwise bits."""
+        """Return the number of the branch of a closed configuration: 0 for that of the start, see `sign_weights`."""
         if not self._robot.has_branches:
             return 0
         flips = self._flips(self._determinants(q))
-        return sum(1 << bit for bit, is_flipped in enumerate(flips) if is_flipped)
+        return sum(itertools.compress(sign_weights(len(flips)), flips))
 
-    def kind(self, number: int) -> str:
-        """Return the kind of singularity between two branches, from the bits in which their numbers differ."""
-        is_serial = bool(number & ((1 << len(self._systems)) - 1))
-        return "serial" if is_serial and self._robot.coordinates != self._robot.command_coordinates else "parallel"
+    def kind(self, q: Vector, other: Vector) -> str | None:
+        """Return the kind of singularity between two closed configurations; None if they are on one branch."""
+        changed = [a != b for a, b in zip(*(self._flips(self._determinants(x)) for x in (q, other)), strict=True)]
+        if not any(changed):
+            return None
+        return self._kind_of_loops if any(changed[: len(self._systems)]) else "parallel"
+
+    @property
+    def _kind_of_loops(self) -> str:
+        return "parallel" if self._robot.coordinates == self._robot.command_coordinates else "serial"
 
     # definitions, from the samples
 

@@ -13,13 +13,16 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.kinematics.units import coordinate_scales
-from pm3dof_pin.typing import Array, Matrix, Vector
+from pm3dof_pin.mechanism.configuration import LIMIT_TOLERANCE
+from pm3dof_pin.typing import Array, Indices, Mask, Matrix, Vector
 
 _ROUNDING = 1e-9
 _FURTHER_STARTS = 16  # for the inverse kinematics of a serial arm
 _NEAREST = 4  # poses of the lattice from which one is sought: a singular pose may lie between it and the nearest
 _WAYPOINTS = 1000
 _FEWEST_ALONG, _MAX_WAYPOINTS = 3, 10_000  # along each coordinate; in all, or there are none
+_PROJECTIONS = 30  # onto the limits
+_SPARE = 0.05  # greatest distance from a limit, relative to the joint's range; small ones keep paths continuous
 _WIDTH = 3.0  # of the waypoint lattice on both sides of home, unless joints end earlier [characteristic lengths]
 
 
@@ -78,13 +81,11 @@ def find_poses(
         failed = np.flatnonzero(missing & np.isnan(found.q[:, 0]))
         if failed.size:
             others = solver.walk(targets[failed], starts[failed], home_too=False, keep_branch=keep_branch)
-            known: list[tuple[Any, Any]] = list(zip(found, others, strict=True))
-            for values, other in known:
-                if values is not None:
-                    values[failed] = other
+            _replace_rows(found, failed, others)
     turned = _turned_into_limits(robot, coordinates, found.q)
-    # the same poses, except for their broken limits
-    return found if turned is found.q else found._replace(q=turned, broken_limits=None)
+    if turned is not found.q:  # the same poses, except for their broken limits
+        found = found._replace(q=turned, broken_limits=None)
+    return _move_into_limits(robot, coordinates, targets, found, solver)
 
 
 def waypoints(
@@ -204,4 +205,38 @@ def _turned_into_limits(robot: PlacedMechanism, coordinates: tuple[Coordinate, .
         return q
     found = q.copy()
     found[:, turning] = turned
+    return found
+
+
+def _replace_rows(found: Solution, rows: Indices, others: Solution, which: Mask | slice = slice(None)) -> None:
+    """Put some of the other poses, those for these rows, into the rows of the poses found, in place."""
+    known: list[tuple[Any, Any]] = list(zip(found, others, strict=True))
+    for values, other in known:
+        if values is not None:
+            values[rows[which]] = other[which]
+
+
+def _move_into_limits(
+    robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], targets: Matrix, found: Solution, solver: Solver
+) -> Solution:
+    """Move poses of a serial arm with null motions into the limits of its joints, where that is found, in place.
+
+    In turn, joints are put within their limits, and the nearest pose at the target is walked to from there: projections
+    onto two sets, whose common points they approach (L. Gurin, B. Polyak and E. Raik, USSR Computational Mathematics
+    and Mathematical Physics 7, 1967). Poses that do not arrive stay as they were.
+    """
+    if robot.has_loops or not robot.has_null_motions(coordinates):
+        return found
+    lower, upper = robot.lower_limits - LIMIT_TOLERANCE, robot.upper_limits + LIMIT_TOLERANCE
+    width = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+    rows = np.flatnonzero(((found.q < lower) | (found.q > upper)).any(axis=1))
+    q = found.q[rows]
+    for spare in np.linspace(0.0, _SPARE, _PROJECTIONS)[:, None] * width:
+        if not rows.size:
+            break
+        walked = solver.walk(targets[rows], np.clip(q, lower + spare, upper - spare), home_too=False)
+        arrived = np.asarray(((walked.q >= lower) & (walked.q <= upper)).all(axis=1))
+        _replace_rows(found, rows, walked, arrived)
+        left = ~arrived & np.isfinite(walked.q).all(axis=1)
+        q, rows = walked.q[left], rows[left]
     return found

@@ -179,6 +179,8 @@ class Poses:
     def branch(self) -> NDArray[np.int64]:
         """Branch of each pose, shape=(...): 0 for home's, otherwise bits that say which determinants differ in sign.
 
+        Of 53 signs or more, other numbers: see :func:`~pm3dof_pin.mechanism.loop_systems.sign_weights`.
+
         Poses on different branches are separated by singular ones, see :mod:`pm3dof_pin.kinematics.branches`. 0 for
         unsolved poses, and for serial arms, which have no branches.
 

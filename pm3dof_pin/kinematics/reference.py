@@ -96,10 +96,10 @@ class Reference:
         pose = pose_in_words(coordinates, _read(robot, coordinates, walk.last).round(6), ".4g")
         kind = "parallel" if coordinates == robot.command_coordinates else "serial"
         if branches is not None and np.isfinite(beyond).all():
-            changed = branches.number(beyond) ^ branches.number(start)
-            if not changed:
+            between = branches.kind(beyond, start)
+            if between is None:
                 return f"ways to it pass singular poses, from home one near {pose}; a guess near it makes it reachable"
-            kind = branches.kind(changed)
+            kind = between
         return (
             f"it lies beyond a {kind} singularity, met near {pose}, on another branch; a configuration 'home' of the "
             "description on that branch (pm3dof info --assemble), or a guess there, makes it reachable"

@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-_MOST_BRANCHES = 2.0**62
 _MAX_MAGNITUDE = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
 _MANY = 32  # poses that justify a program
 _CLOSE_BY = 1e-2  # steps from home that programs of imprecise loops must find [characteristic lengths, rad]
@@ -289,9 +288,7 @@ class Robot(PlacedMechanism):
             transforms[missing] = np.nan
         branch: NDArray[np.int64] | None = None
         if "branch" in outputs:
-            # of large robots it has more bits than an integer: such branches are not told apart, but are not home's
-            numbers = np.where(missing, 0.0, outputs["branch"])
-            branch = np.where(np.abs(numbers) < _MOST_BRANCHES, numbers, _MOST_BRANCHES).astype(np.int64)
+            branch = np.where(missing, 0.0, outputs["branch"]).astype(np.int64)
             if self.prototype is not self:
                 with suppress(PM3DofError):  # without a home of its own, its prototype's is the reference
                     branch ^= np.int64(checks.named(start_of(self)[None])["branch"][0])
@@ -312,7 +309,8 @@ class Robot(PlacedMechanism):
         Without a guess, a pose is found by continuation from home. Poses beyond a serial or parallel singularity are on
         another branch and out of reach, see :mod:`pm3dof_pin.kinematics.branches`; a guess there, or a configuration
         "home" of the description, makes that branch the one that is reached. A serial arm has many solutions, and
-        singular poses on the way to them: its poses are also tried from further starts.
+        singular poses on the way to them: its poses are also tried from further starts. If it has more joints than
+        coordinates, those that break limits are moved into them where that is found, unless there is a guess.
 
         Args:
             values: a grid, or values in order of the coordinates, shape=(..., number of coordinates) [m, rad].

@@ -96,7 +96,7 @@ def robot_space(
     require_quick_poses(robot, "boundaries")
     if robot.has_branches and robot.has_null_motions(robot.coordinates):
         drives = f"{robot.name}, whose {len(robot.placing_drives)} drives can move while the tool rests"
-        expected = "loops whose poses follow from the coordinates: walks from home do not find all of these"
+        expected = "loops whose poses follow from the coordinates: of the many here, those within limits are not sought"
         raise InvalidValueError("robot", drives, expected)
     chosen = names or _default_names(robot)
     if not 1 <= len(set(chosen)) == len(chosen) <= _MAX_COORDINATES:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, LoopSystem, connected, joined, split
+from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, LoopSystem, connected, joined, sign_weights, split
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, total, typical, zeros
@@ -229,15 +229,16 @@ def regularity_and_mode(margin: Array) -> tuple[Array, Array]:
 def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
     """Record which branch a closed configuration is on: 0 for that of the first sample.
 
-    Bits say which determinants have another sign than there: those of the systems that the loops form with the
-    quantities of the task given, then those of the drives' rates by the rates of these quantities, shape=(drives,
-    quantities), block by block, unless the quantities do not determine the drives. `drives` are their entries of v.
+    Its bits, or the sum of :func:`~pm3dof_pin.mechanism.loop_systems.sign_weights`, say which determinants have another
+    sign than there: those of the systems that the loops form with the quantities of the task given, then those of the
+    drives' rates by the rates of these quantities, shape=(drives, quantities), block by block, unless the quantities do
+    not determine the drives. `drives` are their entries of v.
     Between configurations on different branches there is a singular one, serial or parallel, see
     :mod:`pm3dof_pin.kinematics.branches`.
     """
     held, systems, idle_entries = _closed_systems(tree, task)
-    count, bits = len(held) + len(task.tool), itertools.count()
-    number: Scalar = 0.0
+    count = len(held) + len(task.tool)
+    flips: list[Truth] = []
     rates: dict[int, Objects] = {k: objects(np.eye(count)[column].tolist()) for column, k in enumerate(held)}
     at_rest = set(idle_entries)
     for system in systems:
@@ -248,9 +249,9 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
             len(system.unknowns) <= 3 and np.array_equal(system.rows, system.selection)
         ):
             is_flipped = _is_flipped(_determinant(system.square(system.unknowns)))
-        number = number + select(is_flipped, 2.0 ** next(bits), 0.0)
+        flips.append(is_flipped)
     if at_rest & set(drives):  # the quantities do not determine the drives: theirs are some rates of many
-        return number
+        return _sum_of_flips(flips)
     matrix = np.vstack([zeros(0, count), *(rates.get(k, zeros(1, count)) for k in drives)])
     sizes = np.array([np.nanmax(np.abs(number_samples(entry))) for entry in matrix.ravel()])
     for rows, columns in connected(sizes.reshape(matrix.shape) > ZERO):
@@ -258,7 +259,17 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
             determinants = [_determinant(matrix[np.ix_(rows, columns)])]
             determinants += _minor(systems, held, count, [drives[row] for row in rows], columns)
             shortest = min(determinants, key=tree.graph.operations)
-            number = number + select(_is_flipped(shortest), 2.0 ** next(bits), 0.0)
+            flips.append(_is_flipped(shortest))
+    return _sum_of_flips(flips)
+
+
+def _sum_of_flips(flips: list[Truth]) -> Scalar:
+    """Return the number of a branch from the signs that differ; the last ones may be constant and do not count."""
+    number: Scalar = 0.0
+    while flips and isinstance(flips[-1], np.bool_):
+        flips.pop()
+    for is_flipped, weight in zip(flips, sign_weights(len(flips)), strict=True):
+        number = number + select(is_flipped, float(weight), 0.0)
     return number
 
 

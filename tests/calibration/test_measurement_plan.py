@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pm3dof_pin.calibration import measurement_plan
 from pm3dof_pin.calibration.assembled import OUT_OF_TOLERANCE
 from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.measurement_plan import plan_measurements
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.instruments.table import INSTRUMENTS, placed_instrument
 from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
@@ -22,6 +24,7 @@ from pm3dof_pin.measuring.measurements import joint_coordinates
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.measuring.observation import planned_measurements
 from pm3dof_pin.simulation.worlds import World
+from pm3dof_pin.typing import Mask
 
 MACHINES = Path(__file__).parents[1] / "machines"
 NAMES = tuple(INSTRUMENTS)
@@ -181,3 +184,22 @@ def test_a_point_that_drives_do_not_move_sideways_touches_no_line() -> None:
     """The tripod as described is always on the z axis, and no other machine is: its drives cannot bring it there."""
     with pytest.raises(UnreachablePoseError, match="a machine with errors misses the line"):
         plan_measurements(GeometricErrors.load("pm3dof"), 9, instrument="line", candidates=60, machines=0)
+
+
+@pytest.mark.parametrize("part", [0.3, 0.01])
+def test_poses_at_which_machines_cannot_be_assembled_are_replaced_as_long_as_there_are_others(
+    part: float, errors: GeometricErrors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of machines that can be assembled at a part of all commands only, in no relation to sensitivities."""
+
+    def near_one_end(errors: GeometricErrors, poses: Poses, machines: int, seed: int) -> Mask:
+        return np.asarray(poses.commands[:, 0] < np.quantile(everything, part))
+
+    everything = reachable_poses(errors.robot, 200, np.random.default_rng(0)).commands[:, 0]
+    monkeypatch.setattr(measurement_plan, "assembled", near_one_end)
+    if part < 0.05:
+        with pytest.raises(UnreachablePoseError, match=r"at \d of \d+ poses to choose from, and 9 are planned"):
+            plan_measurements(errors, 9, candidates=200)
+        return
+    found = plan_measurements(errors, 9, candidates=200)
+    assert near_one_end(errors, found.poses, 0, 0).all()

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import pm3dof_pin as pm
-from pm3dof_pin.calibration.fit import fit
-from pm3dof_pin.calibration.refusals import _sag_in_words
+from pm3dof_pin.calibration.measurement_plan import plan_measurements
+from pm3dof_pin.calibration.sag import sag_in_words
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
 
 _MASS, _GRAVITY = 2.0, 9.81
 
@@ -33,7 +34,7 @@ def _slide(folder: Path, stiffness: float) -> Path:
 @pytest.mark.parametrize(("stiffness", "sag"), [(1e3, _MASS * _GRAVITY), (1e8, None)])
 def test_sag_is_named_where_it_is_larger_than_errors(tmp_path: Path, stiffness: float, sag: float | None) -> None:
     errors = pm.GeometricErrors.load(_slide(tmp_path, stiffness))
-    commands = np.linspace(-0.5, 0.5, 8)[:, None]
-    measurements = pm.Measurements.from_poses(commands, errors.robot.forward(commands).transforms)
-    words = _sag_in_words(fit(measurements, errors, quiet=True))
-    assert words == "" if sag is None else f"moves the tool by {sag:.3g} mm" in words
+    poses = errors.robot.forward(np.linspace(-0.5, 0.5, 8)[:, None])
+    planned = plan_measurements(errors, 6, candidates=40, machines=1)  # before anything is measured
+    for words in (sag_in_words(errors, poses, TIP_LENGTH), planned.sag):
+        assert words == "" if sag is None else f"moves the tool by {sag:.3g} mm" in words

@@ -17,6 +17,7 @@ from pm3dof_pin.calibration.assembled import OUT_OF_TOLERANCE
 from pm3dof_pin.calibration.measurement_plan import plan_measurements
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.measuring.instrument import Instrument
 
 MACHINES = Path(__file__).parents[1] / "machines"
 SCRIPT = Path(__file__).parents[2] / "scripts" / "studies" / "small_robots.py"
@@ -82,3 +83,17 @@ def test_a_machine_with_too_many_drives_is_measured_and_calibrated(tmp_path: Pat
     assert "left out: so near" not in done.stderr
     errors = json.loads(done.stdout)["held_out"]
     assert errors["tip_error_after_m"]["mean"] < 0.5 * errors["tip_error_before_m"]["mean"]
+
+
+def test_seven_noisy_poses_are_too_few_to_tell_a_change_in_the_middle() -> None:
+    """But not too few to calibrate: residuals of some times the noise are doubted, whatever may explain them."""
+    errors = pm.GeometricErrors.load("three_rps")
+    generator = np.random.default_rng(3)
+    machine = pm.SimulatedMachine.random(errors, generator, everything=False)
+    commands = pm.reachable_poses(errors.robot, 7, generator).commands
+    usual = Instrument()
+    louder = Instrument(position_sigma=3.0 * usual.position_sigma, angle_sigma=3.0 * usual.angle_sigma)
+    seen = pm.Measurements.from_poses(commands, machine.measure(commands, generator, instrument=louder))
+    calibration = pm.calibrate(seen, errors, "lm")
+    assert calibration.identification.noise_factor > 1.5
+    assert any("times the noise" in warning for warning in calibration.warnings)

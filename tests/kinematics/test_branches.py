@@ -461,3 +461,42 @@ def _joint(name: str, kind: str, parent: str, child: str, place: str, axis: str,
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{place}"/>'
         f'<axis xyz="{axis}"/><limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/></joint>'
     )
+
+
+@pytest.mark.parametrize("count", [8, 64])
+def test_branches_of_more_signs_than_a_number_has_bits(count):
+    """Four-bars beside each other, some folded the other way: their ends mirrored in the line from crank to pivot."""
+    model = pin.Model()
+    pivot, tip, end = np.array([0.3, 0.0]), np.array([0.0, 0.1]), np.array([0.28, 0.2])
+    for k in range(count):
+        base = np.array([0.0, 0.0, 0.01 * k])
+        crank = model.addJoint(0, pin.JointModelRZ(), pin.SE3(np.eye(3), base), f"crank{k}")
+        at = pin.SE3(np.eye(3), np.append(tip, 0.0))
+        coupler = model.addJoint(crank, pin.JointModelRZ(), at, f"coupler{k}")
+        rocker = model.addJoint(0, pin.JointModelRZ(), pin.SE3(np.eye(3), base + np.append(pivot, 0.0)), f"rocker{k}")
+        for name, joint, arm in (("a", coupler, end - tip), ("b", rocker, end - pivot)):
+            at = pin.SE3(np.eye(3), np.append(arm, 0.0))
+            model.addFrame(pin.Frame(f"{name}{k}", joint, at, pin.FrameType.OP_FRAME))
+    closures = [LoopClosure(f"a{k}", f"b{k}", "3d") for k in range(count)]
+    robot = Robot(model, closures, actuated_joints=[f"crank{k}" for k in range(count)])
+
+    def angle(vector):
+        return np.arctan2(vector[1], vector[0])
+
+    folded = 2.0 * np.array([angle(pivot - tip) - angle(end - tip), angle(tip - pivot) - angle(end - pivot)])
+    patterns = [(), (0,), (count - 1,), (0, count - 1), (1, count - 1), (count - 2, count - 1), tuple(range(count))]
+    q = np.zeros((len(patterns), model.nq))
+    for row, pattern in zip(q, patterns, strict=True):
+        for k in pattern:
+            row[3 * k + 1 : 3 * k + 3] = folded
+    assert max(robot.configuration(row).closure_residual for row in q) < 1e-12
+    numbers = robot.at(q, engine="pinocchio").branch
+    assert numbers[0] == 0
+    assert len(set(numbers.tolist())) == len(patterns)
+    by_program = robot.at(np.tile(q, (8, 1))).branch.reshape(8, -1)
+    np.testing.assert_array_equal(by_program, np.tile(numbers, (8, 1)))
+    if count == 8:  # bits of the loops
+        assert numbers.tolist() == [sum(1 << k for k in pattern) for pattern in patterns]
+    else:  # a walk from one branch does not end on another
+        stays = robot.forward(np.full((40, count), 0.01), guess=q[3])
+        np.testing.assert_array_equal(stays.branch, numbers[3])

@@ -361,3 +361,30 @@ def test_poses_out_of_an_arms_reach_are_given_up_by_programs(tmp_path, monkeypat
     found = robot.continuation(robot.coordinates).walk(targets)
     assert np.isnan(found.q[:, 0]).mean() > 0.9
     assert len(calls) < 10
+
+
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+@pytest.mark.parametrize("count", [8, 20])
+def test_arms_with_null_motions_keep_their_limits(count, engine, tmp_path):
+    """Where some pose is within them: that from which the target was made."""
+    robot = Robot.load(arm(count).write(tmp_path))
+    ranges = np.array([robot.range_of(command) for command in robot.commands])
+    commands = np.random.default_rng(0).uniform(*(0.6 * ranges.T), (40, count))
+    targets = robot.forward(commands).coordinates
+    poses = robot.solve(targets, engine=engine)
+    np.testing.assert_allclose(poses.coordinates, targets, atol=1e-9)
+    assert poses.within_limits.mean() > 0.85
+    within = [not robot.configuration(q).violated_limits() for q in poses.q]
+    np.testing.assert_array_equal(poses.within_limits, within)
+
+
+def test_an_arm_with_null_motions_has_no_jumps_along_a_line(tmp_path):
+    robot = Robot.load(arm(20).write(tmp_path))
+    ranges = np.array([robot.range_of(command) for command in robot.commands])
+    ends = robot.forward(np.random.default_rng(1).uniform(*(0.9 * ranges.T), (2, 20))).transforms
+    line = np.tile(ends[0], (200, 1, 1))
+    way = ends[1, :3, 3] - ends[0, :3, 3]
+    line[:, :3, 3] += np.linspace(0.0, 0.3 * robot.characteristic_length / np.linalg.norm(way), 200)[:, None] * way
+    poses = robot.reach(line)
+    assert poses.within_limits.all()
+    assert np.abs(np.diff(poses.q, axis=0)).max() < 0.01
