@@ -13,7 +13,7 @@ from pm3dof_pin.description.coordinates import tool_coordinates
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller, Deviations
-from pm3dof_pin.export.grblhal import grblhal_files
+from pm3dof_pin.export.grblhal import MOST_AXES, grblhal_files
 from pm3dof_pin.export.linuxcnc import linuxcnc_files
 from pm3dof_pin.export.ros2_control import ros2_control_files
 from pm3dof_pin.files import write_text_atomically
@@ -35,6 +35,11 @@ _WRITERS: Mapping[ControllerName, Callable[[Controller], dict[str, str]]] = {
     "grblhal": grblhal_files,
     "linuxcnc": linuxcnc_files,
     "ros2_control": ros2_control_files,
+}
+
+_MOST_DRIVES: Mapping[ControllerName, tuple[int, str]] = {
+    "grblhal": (MOST_AXES, "N_AXIS in grblHAL's nuts_bolts.h"),
+    "linuxcnc": (16, "EMCMOT_MAX_JOINTS in the emcmotcfg.h of LinuxCNC 2.9"),
 }
 
 
@@ -102,14 +107,21 @@ def export_controller(
         The files written.
 
     Raises:
-        InvalidValueError: no such controller, an option that it does not take, a robot without drives, or a learned
-            correction of more than three drives.
+        InvalidValueError: no such controller, an option that it does not take, a robot without drives or with more
+            than the controller has joints for, or a learned correction of more than three drives.
         ProgramError: there is no program for the robot.
         ConvergenceError: the loops do not close at home.
         OutputError: a file cannot be written.
     """
     require_choice("controller", controller, ControllerName)
     require_choice("real", real, Real)
+    if controller in _MOST_DRIVES and len(robot.commands) > _MOST_DRIVES[controller][0]:
+        most, source = _MOST_DRIVES[controller]
+        raise InvalidValueError(
+            robot.name,
+            problem=f"has {len(robot.commands)} drives",
+            expected=f"at most {most} for {controller} ({source}); c and ros2_control take any number",
+        )
     placed = with_regular_home(placed_by_tool(robot))
     if placed is not robot and calibrated is not None:
         calibrated = placed.replace(model=calibrated.model, closures=calibrated.closures)

@@ -6,15 +6,18 @@ import math
 
 import numpy as np
 
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.export.c_kinematics import c_files
 from pm3dof_pin.export.controller import Controller
-from pm3dof_pin.export.machine_axes import Machine
+from pm3dof_pin.export.machine_axes import AXIS_INDICES, Machine
 from pm3dof_pin.export.template import fill, markdown
 from pm3dof_pin.files import csv_text
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
-_LETTERS = "XYZABC"  # axes of the controller, in its order
+MOST_AXES = 8
+"""Greatest N_AXIS of the controller: X, Y, Z, A, B, C, U, V."""
+
 _CHORD = 5e-6  # greatest deviation of drives that move evenly between two poses [m, rad]
 _POSES, _SEED = 1000, 3
 
@@ -23,10 +26,12 @@ def grblhal_files(controller: Controller) -> dict[str, str]:
     """Return the files: texts by path.
 
     Raises:
-        InvalidValueError: the controller has no axis for a coordinate.
+        InvalidValueError: the controller has no axis for a coordinate or a drive.
         UnreachablePoseError: hardly any pose is within the limits, or moves between them are not.
     """
     machine = Machine(controller)
+    if (count := axis_count(machine)) > MOST_AXES:
+        raise InvalidValueError(f"{controller.robot.name} in grblHAL", f"{count} axes", f"at most {MOST_AXES}")
     name = machine.name
     stops, joints = machine.stops
     head = [f"stop {letter}" for letter in machine.axes.letters] + [f"motor_{k}" for k in range(joints.shape[1])]
@@ -40,7 +45,7 @@ def grblhal_files(controller: Controller) -> dict[str, str]:
 
 def axis_count(machine: Machine) -> int:
     """Return the least number of axes that the controller must be built with: at least three."""
-    return max(3, len(machine.robot.commands), *(_LETTERS.index(letter) + 1 for letter in machine.axes.letters))
+    return max(3, len(machine.robot.commands), *(AXIS_INDICES[letter] + 1 for letter in machine.axes.letters))
 
 
 def move_scale(machine: Machine) -> list[float]:
@@ -95,7 +100,7 @@ _SOURCE = """/*
 #error "@NAME@ needs N_AXIS of at least @AXES@"
 #endif
 
-static const uint8_t axis_of[PLACES] = {@AXIS_OF@}; /* X, Y, Z, A, B, C are 0 to 5 */
+static const uint8_t axis_of[PLACES] = {@AXIS_OF@}; /* X, Y, Z, A, B, C, U, V are 0 to 7 */
 static const double axis_unit[PLACES] = {@AXIS_UNITS@}; /* mm or degree in m, rad */
 static const double motor_unit[MOTORS] = {@MOTOR_UNITS@};
 static const double pieces[PLACES] = {@PIECES@}; /* of a move, by mm or degree: drives off by @CHORD@ at most */
@@ -356,7 +361,7 @@ def _source(machine: Machine) -> str:
         "UPPER": name.upper(),
         "MODEL": "calibrated" if "calibrated" in machine.controller.models else "nominal",
         "AXES": str(axis_count(machine)),
-        "AXIS_OF": ", ".join(str(_LETTERS.index(letter)) for letter in machine.axes.letters),
+        "AXIS_OF": ", ".join(str(AXIS_INDICES[letter]) for letter in machine.axes.letters),
         "AXIS_UNITS": ", ".join(repr(1.0 / shown) for shown in machine.shown.tolist()),
         "MOTOR_UNITS": ", ".join(repr(1.0 / shown) for shown in machine.joint_shown.tolist()),
         "PIECES": ", ".join(f"{share:.6g}" for share in move_scale(machine)),

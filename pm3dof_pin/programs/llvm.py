@@ -36,9 +36,10 @@ WORTH_OPTIMISING = 5e-6
 """Seconds of running, per operation of the program, from which it is compiled with full optimisation.
 
 That takes twenty times as long, but large batches seldom come alone, and the code is cached. Long programs, for which
-one would wait, must run for up to six times as long.
+one would wait, must run for up to six times as long, and very long ones for as long as that takes.
 """
 _SHORT = 5_000  # operations, which are optimised in half a second
+_LONG = 60_000  # operations, after which that takes more than in proportion
 
 
 class Target(NamedTuple):
@@ -359,7 +360,7 @@ class Compiled:
             self._load(self._make())
         n = len(rows)
         ahead = n * length * len(self.program) * _SECONDS_EACH
-        patience = min(max(1.0, (len(self.program) / _SHORT) ** 2), 6.0)
+        patience = min(max(1.0, (len(self.program) / _SHORT) ** 2), 6.0 * max(1.0, len(self.program) / _LONG))
         if self._faster is not None and self._seconds + ahead > WORTH_OPTIMISING * patience * len(self.program):
             faster, self._faster = self._faster, None
             try:

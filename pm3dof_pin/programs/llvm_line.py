@@ -8,16 +8,22 @@ from collections.abc import Callable, Mapping, Sequence
 from pm3dof_pin.programs.llvm_vectors import VectorText
 from pm3dof_pin.programs.program import Program
 
-STAGE = 4000
-"""Greatest number of operations in a function."""
+WHOLE = 4000
+"""Greatest number of operations of a program that is one function."""
+
+STAGE = 1000
+"""Number of operations in a function of a longer one."""
+
+STORES = 128
+"""Greatest number of results in a function that are not computed there, such as the zeros of a Jacobian."""
 
 
 class Line:
     """A program as two functions: one fills a table of values shared by all poses, one is the straight line.
 
     Long ones are cut into stages, functions of their own: the frame of a function has room for all its values that do
-    not fit into registers, and the time that LLVM takes grows faster than its length. Values that outlive a stage are
-    kept in a workspace.
+    not fit into registers, and the time that LLVM takes grows as the square of its length, or of the number of results
+    that it stores. Values that outlive a stage are kept in a workspace.
     """
 
     def __init__(self, text: VectorText, name: str, program: Program) -> None:
@@ -113,8 +119,20 @@ class Line:
         text, first, width = self._text, self.program.first_line, self._text.lanes
         everything = range(first, first + len(self.program.lines))
         lines = [number for number in everything if self._differs[number] == differs and number not in self._fused]
-        stages = [lines[k : k + STAGE] for k in range(0, len(lines), STAGE)] or [[]]
-        last = {operand: k for k, stage in enumerate(stages) for number in stage for operand in self._operands(number)}
+        size, own = STAGE if len(lines) > WHOLE else WHOLE, set(lines)
+        # values to be computed, then others and the columns where these are stored
+        stages: list[list[tuple[int, int | None]]]
+        stages = [[(number, None) for number in lines[k : k + size]] for k in range(0, len(lines), size)] or [[]]
+        given = [(number, column) for number, places in columns.items() if number not in own for column in places]
+        stages[-1] += given[:STORES]
+        stages += [[*given[k : k + STORES]] for k in range(STORES, len(given), STORES)]
+        last = {
+            operand: k
+            for k, stage in enumerate(stages)
+            for number, column in stage
+            if column is None
+            for operand in self._operands(number)
+        }
         pointers = ", ".join(f"{text.pointer} noalias %{argument}" for argument in (*arguments, "workspace"))
         slots: dict[int, int] = {}
         free: list[int] = []
@@ -131,10 +149,13 @@ class Line:
                     return self._as_condition(number, kept)
                 return leaf(number)
 
-            for number in stage:
+            for number, column in stage:
+                if column is not None:
+                    store(leaf(number), column)
+                    continue
                 names[number] = self._emitted(number, value, angles)
-                for column in columns.get(number, ()):
-                    store(self._as_number(number, names[number]), column)
+                for place in columns.get(number, ()):
+                    store(self._as_number(number, names[number]), place)
                 if last.get(number, k) > k:
                     slots[number] = free.pop() if free else len(slots)
                     kept = self._as_number(number, names[number])
@@ -142,10 +163,6 @@ class Line:
             self.workspace = max(self.workspace, len(slots) + len(free))
             for number in [number for number in slots if last[number] == k]:
                 free.append(slots.pop(number))
-            if k == len(stages) - 1:
-                for number, places in columns.items():
-                    for column in places if not (number >= first and self._differs[number] == differs) else ():
-                        store(leaf(number), column)
             text.end()
         if len(stages) > 1:
             text.begin(name, pointers)

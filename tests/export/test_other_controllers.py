@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import pm3dof_pin as pm
-from pm3dof_pin.export.controllers import export_controller
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.export.controllers import ControllerName, export_controller
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no compiler")
 
@@ -379,3 +380,36 @@ def test_plugins_of_ros2_control(tmp_path: Path) -> None:
     np.testing.assert_allclose(rows[19], J.T @ efforts, atol=1e-6)
     for found, wanted in zip(rows[20:], (poses.commands, speeds, efforts), strict=True):
         np.testing.assert_allclose(found, wanted, atol=1e-7)
+
+
+def slides(folder: Path, count: int) -> pm.Robot:
+    """Return a stack of driven slides, the first three along the axes and the others oblique."""
+    axes = ["1 0 0", "0 1 0", "0 0 1", *["0.6 0.8 0", "0.8 0 0.6", "0 0.6 0.8"] * count][:count]
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    text = "".join(
+        f'<link name="l{k + 1}">{inertial}</link><joint name="j{k}" type="prismatic"><parent link="l{k}"/>'
+        f'<child link="l{k + 1}"/><axis xyz="{axis}"/><limit lower="-0.1" upper="0.1" effort="1" velocity="1"/></joint>'
+        for k, axis in enumerate(axes)
+    )
+    (folder / "slides.urdf").write_text(f'<robot name="slides"><link name="l0"/>{text}</robot>')
+    return pm.load(folder / "slides.urdf", drives=[f"j{k}" for k in range(count)])
+
+
+def test_grblhal_has_axes_u_and_v(tmp_path: Path) -> None:
+    """By nuts_bolts.h X, Y, Z, A, B, C, U, V are 0 to 7, and there is no W."""
+    export_controller(slides(tmp_path, 4), "grblhal", tmp_path)
+    source = (tmp_path / "slides_grblhal.c").read_text()
+    assert "axis_of[PLACES] = {0, 1, 2, 6};" in source
+    assert "#if N_AXIS < 7" in source
+    with pytest.raises(InvalidValueError, match="9 axes: expected at most 8"):
+        export_controller(slides(tmp_path, 6), "grblhal", tmp_path / "six")
+
+
+@pytest.mark.parametrize(("controller", "most"), [("grblhal", 8), ("linuxcnc", 16)])
+def test_too_many_drives_are_refused_before_the_work(
+    controller: ControllerName, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pm3dof_pin.export.controllers.Controller", None)  # the work
+    robot = slides(tmp_path, most + 1)
+    with pytest.raises(InvalidValueError, match=f"has {most + 1} drives: expected at most {most} for {controller}"):
+        export_controller(robot, controller, tmp_path / "files")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pm3dof_pin.programs import llvm, llvm_line
+from pm3dof_pin.programs import llvm, llvm_ir, llvm_line
 from pm3dof_pin.programs.c import c99
 from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, floor, less, maximum, minimum, select, sin, sqrt
 from pm3dof_pin.programs.javascript import javascript
@@ -121,14 +121,25 @@ def test_machine_code(program, n, seed):
 
 
 def test_stages_compute_the_same_bits(many_programs, monkeypatch):
-    """Values of all kinds outlive a stage of three operations."""
+    """Values of all kinds outlive a stage of three operations, and results are stored two at a time."""
     inputs, parameters = numbers(8, 25)
     whole = [llvm.compile(program, optimized=False)(inputs, parameters) for program in many_programs]
-    monkeypatch.setattr(llvm_line, "STAGE", 3)
+    for name, size in (("WHOLE", 1), ("STAGE", 3), ("STORES", 2)):
+        monkeypatch.setattr(llvm_line, name, size)
     staged = [llvm.compile(program, optimized=False) for program in many_programs]
     for compiled, expected in zip(staged, whole, strict=True):
         assert np.array_equal(compiled(inputs, parameters), expected, equal_nan=True)
     assert sum(compiled._workspace_size > 0 for compiled in staged) > 30
+
+
+def test_no_function_stores_many_results():
+    """LLVM takes the square of their number."""
+    graph = Graph()
+    x = graph.input("x", [0.5])
+    program = graph.program("sparse", {"values": [x * x, *[graph.constant(0.0)] * 3000]})
+    functions = llvm_ir.module(program, 8, True, True).split("define ")
+    assert max(text.count("store") for text in functions) < 300
+    assert np.array_equal(llvm.compile(program)([[3.0]], []), [[9.0, *[0.0] * 3000]])
 
 
 def test_a_long_program_needs_little_of_the_stack():
