@@ -32,7 +32,15 @@ from pm3dof_pin.exceptions import AmbiguousHomeError, ConvergenceError, ProgramE
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, LoopSystem, connected, sign_weights, split, stacked
+from pm3dof_pin.mechanism.loop_systems import (
+    ZERO,
+    LoopEquations,
+    LoopSystem,
+    sign_weights,
+    signed_blocks,
+    split,
+    stacked,
+)
 from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
 from pm3dof_pin.tolerances import SIGN
 from pm3dof_pin.typing import Matrix, Vector
@@ -140,11 +148,10 @@ class Branches:
 
     @cached_property
     def _blocks(self) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
-        """Square blocks of the drives' Jacobian, by drives and coordinates, but for those that are constant."""
+        """Blocks of the drives' Jacobian with a sign, by drives and coordinates, but for those that are constant."""
         rates = np.array([self._drive_rates(self._equations(q)) for q in self._nearby])
-        sizes = np.abs(rates).max(axis=0, initial=0.0)
         trivial = np.ptp(rates, axis=0).max(initial=0.0) <= ZERO
-        return [] if trivial else [block for block in connected(sizes > ZERO) if len(block[0]) == len(block[1])]
+        return [] if trivial else signed_blocks(rates)
 
     @cached_property
     def _usual(self) -> Vector:

@@ -218,6 +218,16 @@ class PlacedMechanism(Mechanism):
         """The commands of :attr:`placing_drives`, as coordinates."""
         return tuple(self.command_coordinates[k] for k in self.placing_drives)
 
+    @property
+    def drives_place_it(self) -> bool:
+        """Whether usual poses follow from the drives, but for motions that leave the tool at rest as well.
+
+        Raises:
+            ConvergenceError: the loops do not close near home.
+        """
+        mobility = instantaneous_mobility(generic_configuration(self.home))
+        return mobility.actuator_rank.rank == mobility.count - mobility.idle_motions.shape[1]
+
     def has_null_motions(self, coordinates: Sequence[Coordinate]) -> bool:
         """Return whether the drives can move while coordinates of the tool stay, so that poses there are many.
 

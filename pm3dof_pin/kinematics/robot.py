@@ -497,7 +497,8 @@ class Robot(PlacedMechanism):
             reason = "ry alone is told within -90 .. 90 deg only; a joint's angle as coordinate has no such bounds"
         elif result.converged and self.has_branches:
             reason = "the drives leave joints free, and none of the ways tried leads there; another guess may"
-            if branches_of(self.prototype).conditions:
+            is_given = coordinates != self.placing_commands or self.drives_place_it
+            if is_given and branches_of(self.prototype).conditions:
                 reason = self._reference(coordinates).obstacle(start, target)
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
         return UnreachablePoseError(message, result.residual, reason)

@@ -208,6 +208,24 @@ def connected(pattern: Mask) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
     return [(tuple(sorted(rows)), tuple(sorted(columns))) for rows, columns in blocks]
 
 
+def signed_blocks(rates: Array) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Return the blocks of the drives' rates by those of some quantities whose determinants have signs.
+
+    Those that are square, and not singular at all samples, as of a platform on legs whose ends are similar hexagons.
+
+    Args:
+        rates: the scaled rates at samples, NaN where one is singular, shape=(s, drives, quantities).
+    """
+    blocks = connected(np.nanmax(np.abs(rates), axis=0, initial=0.0) > ZERO)
+    known = rates[np.isfinite(rates).all(axis=(1, 2))]
+
+    def is_regular(block: tuple[tuple[int, ...], tuple[int, ...]]) -> bool:
+        singular = np.linalg.svd(known[(slice(None), *np.ix_(*block))], compute_uv=False)
+        return bool(median(singular[:, -1]) > RANK * median(singular[:, 0]))
+
+    return [block for block in blocks if len(block[0]) == len(block[1]) and (not len(known) or is_regular(block))]
+
+
 def _system(equations: Sequence[LoopEquations], members: tuple[int, ...], unknowns: tuple[int, ...]) -> LoopSystem:
     matrices = stacked([(equations[index].indices, equations[index].samples) for index in members], unknowns)
     matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]

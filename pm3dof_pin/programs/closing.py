@@ -16,7 +16,15 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent
 from pm3dof_pin.exceptions import ShapeError
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.loop_systems import ZERO, LoopEquations, LoopSystem, connected, joined, sign_weights, split
+from pm3dof_pin.mechanism.loop_systems import (
+    ZERO,
+    LoopEquations,
+    LoopSystem,
+    joined,
+    sign_weights,
+    signed_blocks,
+    split,
+)
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, total, typical, zeros
@@ -253,13 +261,11 @@ def branch_number(tree: Tree, task: Task, drives: Sequence[int]) -> Scalar:
     if at_rest & set(drives):  # the quantities do not determine the drives: theirs are some rates of many
         return _sum_of_flips(flips)
     matrix = np.vstack([zeros(0, count), *(rates.get(k, zeros(1, count)) for k in drives)])
-    sizes = np.array([np.nanmax(np.abs(number_samples(entry))) for entry in matrix.ravel()])
-    for rows, columns in connected(sizes.reshape(matrix.shape) > ZERO):
-        if len(rows) == len(columns):
-            determinants = [_determinant(matrix[np.ix_(rows, columns)])]
-            determinants += _minor(systems, held, count, [drives[row] for row in rows], columns)
-            shortest = min(determinants, key=tree.graph.operations)
-            flips.append(_is_flipped(shortest))
+    entries = np.broadcast_arrays(np.zeros(1), *(number_samples(entry) for entry in matrix.ravel()))
+    for rows, columns in signed_blocks(np.stack(entries, axis=-1)[:, 1:].reshape(len(entries[0]), *matrix.shape)):
+        determinants = [_determinant(matrix[np.ix_(rows, columns)])]
+        determinants += _minor(systems, held, count, [drives[row] for row in rows], columns)
+        flips.append(_is_flipped(min(determinants, key=tree.graph.operations)))
     return _sum_of_flips(flips)
 
 
