@@ -36,6 +36,7 @@ _AS_MEASURED = {
 }
 _WHOLE_POSES = 6  # drives with which commands correct whole poses
 _WHOLE = 0.995  # fraction of a correction that counts as all
+_CERTAIN = 1e-3  # probability of harm below which a gain is taken for certain
 _POORLY_DESCRIBED = 2.0  # noise factor from which the parameters do not describe the machine
 _MIN_VISITS = 3  # of a pose, for a row in the table
 _FALSE_ALARM = 1e-3  # probability of reporting drift or hysteresis if there is none
@@ -222,6 +223,11 @@ def _unseen(calibration: Fit, unlocated: Mapping[str, float]) -> list[str]:
         hidden.append(f"{missing} combinations of parameters, listed in the report")
     if (part := calibration.part_corrected) < _WHOLE:
         hidden.append(f"{100.0 * (1.0 - part):.0f} % of the correction, left out because it could also do harm")
+    if (chance := calibration.chance_of_harm) > _CERTAIN:
+        hidden.append(
+            f"whether anything is gained: with {100.0 * chance:.1f} % probability the corrected commands are worse "
+            "than uncorrected ones"
+        )
     if found.nuisances.columns("frame").size:
         hidden.append(f"the location of the base, except through the machine's own motion{_amount(unlocated, 'base')}")
     elif found.measurements.on_datums.all():

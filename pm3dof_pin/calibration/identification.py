@@ -21,11 +21,13 @@ from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE, Identifiability
 from pm3dof_pin.calibration.linearisation import Linearisation, Loss, RobustFit, tool_motions_by_drives
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
+from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.measuring.nuisances import Nuisances
+from pm3dof_pin.measuring.nuisances import Nuisances, seen_datum_map
 from pm3dof_pin.typing import Array, Indices
 
 PRIOR = 3.0
@@ -157,19 +159,30 @@ class Identification:
 
         See :func:`pm3dof_pin.measuring.nuisances.datum_motions`.
         """
-        if not self.nuisances.datum_map().any():
-            return self.covariance
         chosen = self.seen_map
+        if not chosen[len(self.errors) :].any():
+            return self.covariance
         return np.asarray(chosen @ self._known_covariance @ chosen.T)
 
-    @property
+    @cached_property
     def seen_map(self) -> Array:
-        """Map of all parameters to p, then to base and tool as nuisances define them, shape=(p + 12, parameters)."""
-        count = len(self.errors)
+        """Map of all parameters to p, then to base and tool as nuisances define them, shape=(p + 12, parameters).
+
+        The tool is as the points seen show it if it is known better so, over the measured poses: see
+        :func:`pm3dof_pin.measuring.nuisances.seen_datum_map`.
+        """
+        count, datum = len(self.errors), self.nuisances.datum_map()
+        if datum[6:].any() and np.isfinite(self.joint_covariance).all():
+            poses = self.poses[self.measurements.first_rows]
+            weights = tip_weights(TIP_LENGTH, self.errors.robot.tool_motions)
+            own = np.r_[:count, self._first_nuisance : len(self.joint_covariance)]
+            motions = sensitivities(self.errors, poses, self.values).errors
+            covariance = self._known_covariance[np.ix_(own, own)]
+            datum = seen_datum_map(self.nuisances, motions, poses, weights, covariance)
         chosen = np.zeros((count + 12, len(self.joint_covariance)))
         chosen[:count, :count] = np.eye(count)
-        chosen[count:, self._first_nuisance :] = self.nuisances.datum_map()
-        return chosen
+        chosen[count:, self._first_nuisance :] = datum
+        return frozen(chosen)
 
     @property
     def _known_covariance(self) -> Array:

@@ -45,7 +45,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.measuring.nuisances import datum_motions
+from pm3dof_pin.measuring.nuisances import datum_motions, seen_datum_map
 from pm3dof_pin.typing import Array, Indices, Mask
 
 Strategy = Literal["d-optimal", "tip-optimal", "space-filling", "process-variance", "least-sensitive", "random"]
@@ -180,17 +180,21 @@ class PlanningProblem:
         self._rows = np.concatenate([self.regressor, self.nuisance_regressor], axis=2)
         tests = candidate_map if test_poses is None else error_map(errors, test_poses, eta=eta)
         self.measured, self.tested = (_PlannedPoses.under(each, wrenches) for each in (candidate_map, tests))
-        # base and tool are as the measurements define them
-        datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
+        self.prior = prior
+        self.sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
+        self._prior = np.diag(np.concatenate([self.sigmas, self.nuisances.sigmas]) ** -2.0)
+        # base and tool are as the measurements define them, here all candidates
+        own = np.r_[: len(errors), len(self.unknowns) : self._rows.shape[2]]
+        units = np.concatenate([errors.tolerances, self.nuisances.scales])
+        known = np.linalg.inv(self.information(np.arange(len(candidates))))[np.ix_(own, own)] * np.outer(units, units)
+        shown = seen_datum_map(self.nuisances, tests.sensitivities.errors, tests.poses, tests.weights, known)
+        datum = datum_motions(tests.poses) @ (shown * self.nuisances.scales)
         effects = np.concatenate([self.tested.effects, datum * tests.weights[:, None]], axis=2)
         effects = effects.reshape(-1, self._rows.shape[2]) / np.sqrt(len(tests.poses))
         if len(effects) > effects.shape[1]:
             effects = np.asarray(np.linalg.qr(effects, mode="r"))  # of the same squares
         self._effects, self._tip = effects, effects.T @ effects
         self._spacing = Spacing(candidates, min_distance, touching=self.instrument.stops)
-        self.prior = prior
-        self.sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
-        self._prior = np.diag(np.concatenate([self.sigmas, self.nuisances.sigmas]) ** -2.0)
 
     @cached_property
     def least_sensitive(self) -> Mask:

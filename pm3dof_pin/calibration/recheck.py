@@ -5,7 +5,7 @@ machine, in units of their noise:
 
     unchanged      r = N(0, V),  V = 1 + A P A^T + noise of what else the rows depend on + scatter,
     re-zero        V + z^2 Z Z^T: the drives' zeros moved,
-    recalibrate    V + z^2 Z Z^T + s^2 A T^2 A^T: parts moved, too, by s tolerances,
+    recalibrate    V + z^2 Z Z^T + s^2 A T^2 A^T: parts moved, too, by s tolerances: all of them, or those of one place,
 
 with P the covariance of the calibration, A and Z the effects of parameters and zeros, T the tolerances. The sizes z
 and s are unknown: the likelihoods are averaged over them, uniform in the logarithm (H. Jeffreys, Theory of Probability,
@@ -19,9 +19,8 @@ Mixed over hypotheses and sizes, the changes tell how far the tool is off if not
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -32,6 +31,7 @@ from pm3dof_pin.calibration.compensation import Compensation, Conditions
 from pm3dof_pin.calibration.folder import HISTORY, read_compensation
 from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
 from pm3dof_pin.errors.command_correction import weighted_control
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, PM3DofError
 from pm3dof_pin.files import read_text, write_text_atomically
@@ -40,18 +40,23 @@ from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.measuring.nuisances import Nuisances, datum_motions
 from pm3dof_pin.measuring.wrenches import is_wrench
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Mask
 
 Verdict = Literal["unchanged", "re-zero", "recalibrate"]
 
 _ZEROS = {"m": np.geomspace(3e-6, 3e-2, 17), "rad": np.geomspace(1e-5, 1e-1, 17)}
 """Sizes of changes of zeros, as many for each unit of a drive [m, rad]."""
-_CHANGES = np.geomspace(0.3, 30.0, 9)  # sizes of other changes, in tolerances
+_CHANGES = np.geomspace(0.1, 30.0, 7)  # sizes of other changes, in tolerances
+_FEWER = 8  # sizes of zeros that move beside one part, or beside one zero that moves farther
 _BEFOREHAND: dict[Verdict, float] = {"unchanged": 1.0, "re-zero": 1.0, "recalibrate": 0.05}  # relative probabilities
-_NEGLIGIBLE = 1e-6  # probability of a change that does not count
+_NEGLIGIBLE = 1e-4  # probability of a change that does not count
 _ROUNDS, _SETTLED = 8, 0.01  # of effects at the zeros found; in standard deviations of a row
 _UNLIKELY = 5e-3  # a verdict that the rows contradict with this probability does not stand
 _NOTICED = scipy.special.ndtri(0.95) + scipy.special.ndtri(0.975)  # standard errors that are noticed with 95 %
+_SHOWN = 0.95  # probability
+_PART_SIZES = np.geomspace(5e-3, 10.0, 12)  # of tip errors by one part, in those by the tolerances of all
+_DRAWN = 50  # parts for each of them
+_IDLE = 1e-3  # of these: a parameter whose tolerance leaves less beyond new zeros is a zero, not a part
 _POSES = 200  # over which the tool is judged
 _LARGEST_SIGMA = 1e3
 
@@ -72,6 +77,9 @@ class Recheck:
     zeros: Array
     zero_sigmas: Array  #: its standard deviation [m, rad]
     detectable: Array  #: change of each zero that these rows show with 95 % probability, shape=(drives,) [m, rad]
+    #: tip error beyond what new zeros leave, rms over the workspace, from which on one moved part is called
+    #: "recalibrate" with 95 % probability; infinite if it never is [m]
+    detectable_parts: float
     rows: int  #: number of rows
     contradiction: float  #: probability of residuals at least this large if the machine is unchanged
     contradiction_if_zeroed: float  #: the same if its zeros alone changed
@@ -100,6 +108,7 @@ class Recheck:
             "zeros_m_rad": self.zeros.tolist(),
             "zero_sigmas_m_rad": self.zero_sigmas.tolist(),
             "detectable_zeros_m_rad": self.detectable.tolist(),
+            "detectable_parts_m": self.detectable_parts if np.isfinite(self.detectable_parts) else None,
             "rows": self.rows,
             "probability_of_residuals_if_unchanged": self.contradiction,
             "probability_of_residuals_if_zeros_moved": self.contradiction_if_zeroed,
@@ -119,20 +128,27 @@ class _Change:
 class _Rows:
     """New rows about a calibrated machine whose zeros are somewhere, in units of their noise."""
 
-    off: Array  #: residuals about the calibrated zeros, extended by the effects here, shape=(rows,)
+    #: residuals about the calibrated zeros, extended by the effects here, shape=(rows,); or of several such machines,
+    #: shape=(rows, machines), of which evidence and contradiction are told one by one
+    off: Array
     variance: Array  #: of these if nothing changed, shape=(rows, rows)
     effects: Array  #: of the zeros, then of the parameters, shape=(rows, drives + parameters)
 
-    def evidence(self, change: _Change) -> float:
+    def evidence(self, change: _Change) -> Array:
         """Return the logarithm of the evidence for a change."""
-        (factor, _), _, solved = self._solved(change)
-        return float(np.log(change.weight) - 0.5 * self.off @ solved - np.log(np.diag(factor)).sum())
+        factor = self._factor(change)
+        exponent = -0.5 * np.sum(scipy.linalg.solve_triangular(factor, self.off, lower=True) ** 2, axis=0)
+        return np.asarray(np.log(change.weight) + exponent - np.log(np.diag(factor)).sum())
+
+    def mean(self, change: _Change) -> Array:
+        """Return the mean of a change's amounts, shape=(k,) [m, rad]."""
+        solved = scipy.linalg.cho_solve((self._factor(change), True), self.off)
+        return np.asarray(change.sigmas**2 * (self.effects.T @ solved))
 
     def moments(self, change: _Change) -> tuple[Array, Array]:
         """Return the mean and the mean square of a change's amounts, shape=(k,) and (k, k) [m, rad]."""
-        factor, effects, solved = self._solved(change)
-        gain = effects.T * change.sigmas[:, None]
-        mean = gain @ solved
+        factor, mean = (self._factor(change), True), self.mean(change)
+        gain = self.effects.T * change.sigmas[:, None] ** 2
         spread = np.diag(change.sigmas**2) - gain @ scipy.linalg.cho_solve(factor, gain.T)
         return mean, spread + np.outer(mean, mean)
 
@@ -143,17 +159,66 @@ class _Rows:
         covariance = np.linalg.pinv(effects.T @ weighted, hermitian=True)
         return np.asarray(covariance @ (weighted.T @ self.off)), np.sqrt(np.diag(covariance))
 
-    def contradiction(self, free: int) -> float:
+    def contradiction(self, free: int) -> Array:
         """Return the probability of residuals at least this large if nothing but so many zeros changed."""
         effects = self.effects[:, :free]
         left = self.off - effects @ self.zeros(free)[0]
         freedom = len(left) - int(np.linalg.matrix_rank(effects))
-        return float(scipy.special.chdtrc(freedom, left @ np.linalg.solve(self.variance, left))) if freedom else 1.0
+        squares = np.sum(left * np.linalg.solve(self.variance, left), axis=0)
+        return np.asarray(scipy.special.chdtrc(freedom, squares)) if freedom else np.ones_like(squares)
 
-    def _solved(self, change: _Change) -> tuple[tuple[Array, bool], Array, Array]:
-        effects = self.effects * change.sigmas
-        factor = scipy.linalg.cho_factor(self.variance + effects @ effects.T, lower=True)
-        return factor, effects, scipy.linalg.cho_solve(factor, self.off)
+    def _factor(self, change: _Change) -> Array:
+        """Return the lower Cholesky factor of the covariance of the residuals with a change."""
+        moving = np.flatnonzero(change.sigmas)
+        effects = self.effects[:, moving] * change.sigmas[moving]
+        return np.asarray(np.linalg.cholesky(self.variance + effects @ effects.T), dtype=float)
+
+
+def _calls_recalibrate(rows: _Rows, hypotheses: Sequence[_Change], drives: int) -> Mask:
+    """Tell of which of several machines the verdict is "recalibrate", shape=(machines,), with the effects at hand."""
+    evidence = np.stack([rows.evidence(change) for change in hypotheses])
+    of_each = [
+        scipy.special.logsumexp(evidence[[change.verdict == verdict for change in hypotheses]], axis=0)
+        for verdict in get_args(Verdict)
+    ]
+    most = np.argmax(of_each, axis=0)
+    against = np.stack([rows.contradiction(0), rows.contradiction(drives), np.ones(len(most))])
+    return np.asarray((most == len(of_each) - 1) | (np.take_along_axis(against, most[None], axis=0)[0] < _UNLIKELY))
+
+
+def _left_by_zeros(tip_square: Array, tolerances: Array) -> Array:
+    """Return the tip error that new zeros leave of each part moved by a unit, shape=(parameters,) [m/m, m/rad].
+
+    0 for parts that are nearly zeros of drives, such as the length of a strut that is driven.
+    """
+    drives = len(tip_square) - len(tolerances)
+    crossed = tip_square[:drives, drives:]
+    by_zeros = np.sum(crossed * (np.linalg.pinv(tip_square[:drives, :drives], hermitian=True) @ crossed), axis=0)
+    left = np.sqrt(np.maximum(np.diag(tip_square)[drives:] - by_zeros, 0.0))
+    return np.where(left * tolerances > _IDLE * np.linalg.norm(left * tolerances), left, 0.0)
+
+
+def _detectable_parts(
+    rows: _Rows, hypotheses: Sequence[_Change], left: Array, tolerances: Array, generator: np.random.Generator
+) -> float:
+    """Return the tip error beyond new zeros from which on one moved part is called so with 95 % probability [m].
+
+    By simulation: for tip errors of increasing size, parts are drawn, moved that far, and judged by such rows. What new
+    zeros leave of each is given by :func:`_left_by_zeros`.
+    """
+    parts, usual = np.flatnonzero(left), float(np.linalg.norm(left * tolerances))
+    if not parts.size:
+        return np.inf
+    drives = rows.effects.shape[1] - len(tolerances)
+    drawn = generator.choice(parts, (len(_PART_SIZES), _DRAWN))
+    amounts = usual * _PART_SIZES[:, None] / left[drawn]
+    moved = (rows.effects[:, drives + drawn] * amounts).reshape(len(rows.off), -1)
+    noise = np.linalg.cholesky(rows.variance) @ generator.standard_normal(moved.shape)
+    called = _calls_recalibrate(replace(rows, off=moved + noise), hypotheses, drives)
+    shown = np.maximum.accumulate(called.reshape(drawn.shape).mean(axis=1))
+    if shown[-1] < _SHOWN:
+        return np.inf
+    return float(usual * np.exp(np.interp(_SHOWN, shown, np.log(_PART_SIZES))))
 
 
 def recheck(calibration: Compensation | Path | str, measurements: Measurements, *, seed: int = 0) -> Recheck:
@@ -194,13 +259,17 @@ def recheck(calibration: Compensation | Path | str, measurements: Measurements, 
     )
     robot = known.errors.robot
     count = len(robot.commands)
-    hypotheses = _hypotheses([command.unit for command in robot.commands], known.errors.tolerances)
+    tested = reachable_poses(robot, _POSES, np.random.default_rng(seed))
+    tip = np.concatenate(_effects(known, known.model_poses(tested)), axis=2) * known.weights[:, None]
+    tip_square = np.einsum("nij,nik->jk", tip, tip) / len(tip)
+    left = _left_by_zeros(tip_square, known.errors.tolerances)
+    hypotheses = _hypotheses([command.unit for command in robot.commands], known.errors, left > 0.0)
     re_zero = [change for change in hypotheses if change.verdict == "re-zero"]
     rows = first = _rows(known, measurements, conditions, np.zeros(count))
     zeros = np.zeros(count)
     for _ in range(_ROUNDS):
         shares = scipy.special.softmax([rows.evidence(change) for change in re_zero])
-        best = np.sum([share * rows.moments(c)[0] for share, c in zip(shares, re_zero, strict=True)], axis=0)
+        best = np.sum([share * rows.mean(change) for share, change in zip(shares, re_zero, strict=True)], axis=0)
         if np.abs(rows.effects[:, :count] @ (best[:count] - zeros)).max(initial=0.0) < _SETTLED:
             break
         try:
@@ -213,22 +282,22 @@ def recheck(calibration: Compensation | Path | str, measurements: Measurements, 
         verdict: min(1.0, float(weights[verdicts == verdict].sum())) for verdict in get_args(Verdict)
     }
     mean, moments = np.zeros(len(best)), np.zeros((len(best), len(best)))
-    for weight, change in zip(weights, hypotheses, strict=True):
-        if weight > _NEGLIGIBLE:
-            own, square = rows.moments(change)
-            mean, moments = mean + weight * own, moments + weight * square
+    counted = np.flatnonzero(weights > _NEGLIGIBLE)
+    for number in counted:
+        own, square = rows.moments(hypotheses[number])
+        share = weights[number] / weights[counted].sum()  # of many, those that do not count are not nothing together
+        mean, moments = mean + share * own, moments + share * square
     zeroed = moments - np.outer(best, mean) - np.outer(mean, best) + np.outer(best, best)
-    tested = reachable_poses(known.errors.robot, _POSES, np.random.default_rng(seed))
-    tip = np.concatenate(_effects(known, known.model_poses(tested)), axis=2) * known.weights[:, None]
-    tip_square = np.einsum("nij,nik->jk", tip, tip) / len(tip)
     kept, set_ = (float(np.sqrt(max(0.0, np.sum(tip_square * each)))) for each in (moments, zeroed))
-    against = {"unchanged": first.contradiction(0), "re-zero": rows.contradiction(count)}
+    against = {"unchanged": float(first.contradiction(0)), "re-zero": float(rows.contradiction(count))}
     verdict = max(probabilities, key=probabilities.__getitem__)
     if against.get(verdict, 1.0) < _UNLIKELY:
         verdict = "recalibrate"
     found, sigmas = rows.zeros(count)
-    shown = _NOTICED * sigmas
-    return Recheck(verdict, probabilities, kept, set_, found, sigmas, shown, len(measurements), *against.values())
+    generator = np.random.default_rng(seed)
+    parts = _detectable_parts(rows, hypotheses, left, known.errors.tolerances, generator)
+    shown = _NOTICED * sigmas, parts
+    return Recheck(verdict, probabilities, kept, set_, found, sigmas, *shown, len(measurements), *against.values())
 
 
 def _rows(known: Compensation, measurements: Measurements, conditions: Conditions, zeros: Array) -> _Rows:
@@ -304,13 +373,26 @@ def _scatter(known: Compensation, machine: Poses, measurements: Measurements) ->
     return motions
 
 
-def _hypotheses(units: Sequence[str], tolerances: Array) -> list[_Change]:
+def _hypotheses(units: Sequence[str], errors: GeometricErrors, is_part: Mask) -> list[_Change]:
+    """Return the changes that are weighed: one zero or place far more than the others is as likely as all alike.
+
+    Parameters that are no parts but zeros of drives, by the mask, do not count as moved alone.
+    """
     sizes = np.column_stack([_ZEROS[unit] for unit in units])
-    found: list[tuple[Verdict, Array, float]] = [("unchanged", np.zeros(len(units)), 0.0)]
-    found += [("re-zero", size, 0.0) for size in sizes]
-    found += [("recalibrate", size, factor) for size in sizes for factor in _CHANGES]
-    counts = Counter(verdict for verdict, *_ in found)
+    beside = np.vstack([np.zeros(len(units)), sizes[::_FEWER]])
+    places = np.array([parameter.place for parameter in errors.parameters])
+    of_one = [errors.tolerances * (is_part & (places == place)) for place in dict.fromkeys(places[is_part])]
+    kept = np.zeros(len(errors))
+    one_zero = [np.where(one, size, other) for size in sizes for other in beside for one in np.eye(len(units)) > 0.0]
+    kinds: list[tuple[Verdict, float, list[Array]]] = [
+        ("unchanged", 1.0, [np.append(beside[0], kept)]),
+        ("re-zero", 0.5, [np.append(size, kept) for size in sizes]),
+        ("re-zero", 0.5, [np.append(size, kept) for size in one_zero]),
+        ("recalibrate", 0.5, [np.append(size, s * errors.tolerances) for size in sizes for s in _CHANGES]),
+        ("recalibrate", 0.5, [np.append(size, s * one) for size in beside for s in _CHANGES for one in of_one]),
+    ]
     return [
-        _Change(verdict, np.concatenate([size, factor * tolerances]), _BEFOREHAND[verdict] / counts[verdict])
-        for verdict, size, factor in found
+        _Change(verdict, sigmas, _BEFOREHAND[verdict] * share / len(changes))
+        for verdict, share, changes in kinds
+        for sigmas in changes
     ]

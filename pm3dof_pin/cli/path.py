@@ -13,7 +13,7 @@ import typer
 
 from pm3dof_pin.calibration.folder import read_compensation
 from pm3dof_pin.capability.transmission import drive_values
-from pm3dof_pin.cli.calibration_options import completed, require_calibration_of
+from pm3dof_pin.cli.calibration_options import ConditionWords, completed, conditions_of, require_calibration_of
 from pm3dof_pin.cli.drive_options import DriveEffort, DriveSpeed, limits_of_drives
 from pm3dof_pin.cli.error_options import RobotErrorsOptions
 from pm3dof_pin.cli.options import Json, Payload, finite_number, numbers_by_name
@@ -123,6 +123,7 @@ def path(
     calibration: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder that `pm3dof calibrate` wrote, for calibrated commands.")
     ] = None,
+    condition: ConditionWords = None,
     large: Annotated[
         bool, typer.Option("--large", help="Deflections by the equilibrium under load, pose by pose; slow.")
     ] = False,
@@ -147,10 +148,9 @@ def path(
         return read_path(pointed, file, workpiece=workpiece, has_tool=tool_length != 0.0)
 
     tool_path = read(placements)
-    known = None if calibration is None else read_compensation(calibration)
+    known, conditions = None if calibration is None else read_compensation(calibration), conditions_of(condition or [])
     if known is not None and calibration is not None:
         require_calibration_of(robot, known.errors.robot, calibration)
-        completed(known, {})  # which says what is not known on a path
     limits = MotionLimits() if controller is None else controller_limits(robot, controller)
     given: dict[str, Any] = {"acceleration": acceleration, "rapid": rapid, "feed": feed, "jerk": jerk}
     of_drives = limits_of_drives(robot, effort=effort, speed=speed)
@@ -169,7 +169,10 @@ def path(
         large=large,
         errors=errors if errors.file is not None else None,
         calibration=known,
+        conditions=conditions,
     )
+    if known is not None:
+        completed(known, conditions)  # which says what is not known on a path
     placement = None
     if place is not None:
         placement = place_path(robot, tool_path, place, options, turn=turn)

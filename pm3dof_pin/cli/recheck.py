@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -64,6 +65,7 @@ def recheck(
         f"tip error on top of what the calibration states, rms: {kept:.1f} µm as it is, {zeroed:.1f} µm with new zeros",
         "",
         *table_lines(["drive", "place minus reading", "sigma", "shown with 95 %", ""], rows),
+        _parts_in_words(found.detectable_parts),
         *([f"{len(earlier)} earlier checks, the last: {earlier[-1].get('verdict')}"] if earlier else []),
     ]
     print_result(result, lines, as_json=as_json)
@@ -77,3 +79,10 @@ def recheck(
         if (calibration / HISTORY).is_file() and out.resolve() != calibration.resolve():
             write_text_atomically(folder / HISTORY, read_text(calibration / HISTORY))
         message(f"wrote {folder}, from {len(again.measurements)} rows")
+
+
+def _parts_in_words(detectable: float) -> str:
+    if not math.isfinite(detectable):
+        return "one moved part would not be told surely from moved zeros by these rows"
+    size = f"{1e6 * detectable:.0f} µm, rms, of the tip beyond new zeros"
+    return f"one moved part is called recalibrate with 95 % from {size} on; a lesser one may be missed"

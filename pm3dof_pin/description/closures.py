@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -49,6 +50,8 @@ class LoopClosure:
     #: its axis in frame b, a unit vector; for a universal joint the second axis, y by default
     axis_b: Axis | None = None
     length: float | None = None  #: the distance of the origins [m] that a closure of type "distance" holds
+    #: 2 for the second closure whose frames have these names: see :func:`uniquely_named`
+    repetition: int = field(default=1, repr=False)
     origin: Origin = field(default=NOWHERE, compare=False, repr=False)  #: where it is described
 
     def __post_init__(self) -> None:
@@ -74,8 +77,13 @@ class LoopClosure:
 
     @property
     def name(self) -> str:
-        """Its name in messages: `frame_a-frame_b`."""
-        return f"{self.frame_a}-{self.frame_b}"
+        """Its name: `frame_a-frame_b`, with `-2` for a second one."""
+        return self.joined("-")
+
+    def joined(self, separator: str) -> str:
+        """Return its name with another separator than the hyphen."""
+        repetition = [str(self.repetition)] if self.repetition > 1 else []
+        return separator.join([self.frame_a, self.frame_b, *repetition])
 
     @property
     def bases(self) -> tuple[Matrix, Matrix] | None:
@@ -110,6 +118,16 @@ def _turned(k: int, axis: Axis | None) -> Matrix:
     x, y, z = np.cross(unit, direction)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + cosine))
+
+
+def uniquely_named(closures: Iterable[LoopClosure]) -> tuple[LoopClosure, ...]:
+    """Return closures of which no two have the same name: those between the same frames are counted."""
+    found: dict[str, LoopClosure] = {}
+    for loop in closures:
+        named = (replace(loop, repetition=k) for k in count(1))
+        first = next(each for each in named if each.name not in found)
+        found[first.name] = first
+    return tuple(found.values())
 
 
 @dataclass(frozen=True)
@@ -275,12 +293,12 @@ def _closures(path: Path, file: ClosuresSchema) -> tuple[LoopClosure, ...]:
     for k, (((a, b), kind), limit, axes, length) in enumerate(zip(loops, *columns.values(), strict=True)):
         try:
             swing, (axis, axis_b) = limit and limit.swing_rad, (axes.axis, axes.axis_b) if axes else (None, None)
-            closures.append(LoopClosure(a, b, kind, swing, axis, axis_b, length, Origin(path)))
+            closures.append(LoopClosure(a, b, kind, swing, axis, axis_b, length, origin=Origin(path)))
         except InvalidValueError as error:
             place = {"type": "type", "length": "closure_lengths"}.get(error.name, "closure_axes")
             place = f"{place}[{k}]" + (f".{error.name}" if error.name.startswith("axis") else "")
             raise DescriptionError(path, place, f"expected {error.expected}, not {error.value!r}") from error
-    return tuple(closures)
+    return uniquely_named(closures)
 
 
 def _coupling(path: Path, index: int, entry: CouplingSchema) -> Coupling:
@@ -328,7 +346,7 @@ def _require_scale(path: Path, place: str, entry: Command | CoordinateSchema) ->
 
 def _limit_group(path: Path, name: str, members: Sequence[str | int], closures: Sequence[LoopClosure]) -> LimitGroup:
     """Sort the members into joints and closures; closures are given as "frame_a-frame_b" or by index."""
-    positions = {f"{closure.frame_a}-{closure.frame_b}": k for k, closure in enumerate(closures)}
+    positions = {closure.name: k for k, closure in enumerate(closures)}
     positions |= {str(k): k for k in range(len(closures))}
     for member in members:
         if isinstance(member, int) and str(member) not in positions:

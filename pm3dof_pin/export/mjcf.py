@@ -74,7 +74,7 @@ class _Writer:
     def _loop(self, index: int) -> list[tuple[str, dict[str, str]]]:
         """Return the equality constraints of a closure, tags and attributes, and add their sites."""
         loop, pair = self._robot.closures[index], self._robot.closure_links[index]
-        name = f"{loop.frame_a}_{loop.frame_b}"
+        name = loop.joined("_")
         match loop.type:
             case "3d" | "6d":
                 sites = {"site1": self._site(pair[0]), "site2": self._site(pair[1])}

@@ -76,7 +76,7 @@ class _Writer:
         kind = _CLOSURES[loop.type]
         # the world cannot be a child; a universal joint's first axis is that of its parent
         parent, child = (one, other) if one == WORLD or loop.type == "universal" else (other, one)
-        element = self._joint(f"{loop.frame_a}_{loop.frame_b}", kind, parent, child)
+        element = self._joint(loop.joined("_"), kind, parent, child)
         if loop.kind.axis is None:
             return
         axes = loop.bases or (np.eye(3), np.eye(3))

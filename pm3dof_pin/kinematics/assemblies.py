@@ -86,7 +86,7 @@ def _ends_within(robot: PlacedMechanism) -> Iterator[Assembly]:
 def _trial(robot: PlacedMechanism, ends: list[Assembly]) -> ClosingTrial:
     nearest = min(ends, key=lambda end: end.residual).configuration
     error = np.abs(nearest.closure_error)
-    names = [f"{closure.frame_a}-{closure.frame_b}" for closure in robot.closures]
+    names = [closure.name for closure in robot.closures]
     names += [f"coupling of {coupling.joint}" for coupling in robot.couplings]
     gaps = [float(error[part].max(initial=0.0)) for part in robot.loop_kinematics.rows]
     return ClosingTrial(len(ends), sum(end.converged for end in ends), dict(zip(names, gaps, strict=False)))

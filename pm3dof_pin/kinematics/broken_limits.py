@@ -51,11 +51,11 @@ def limit_reading(robot: Robot, name: str) -> tuple[Unit, float, float]:
 
 
 def closure_names(robot: Robot) -> dict[str, str]:
-    """Return the display name of each closure, by frames: its declared limit group and index, or its frames."""
+    """Return the display name of each closure, by name: its declared limit group and index, or that name."""
     names = {}
     for index, loop in enumerate(robot.closures):
         frames = f"{loop.frame_a}-{loop.frame_b}"
         group = next((group for group in robot.limit_groups if index in group.closures), None)
         declared = group is not None and not group.joints and group.name != re.sub(r"\d+", "", frames)
-        names[frames] = f"{group.name}{group.closures.index(index) + 1}" if group and declared else frames
+        names[loop.name] = f"{group.name}{group.closures.index(index) + 1}" if group and declared else loop.name
     return names

@@ -235,17 +235,18 @@ class Nuisances:
         kinds = [part.kind for part in self.parts for _ in part.names]
         return np.flatnonzero([entry == kind for entry in kinds])
 
-    def datum_map(self) -> Array:
+    def datum_map(self, *, of_points: bool = True) -> Array:
         """Return the effect of the parameters on base and tool as the measurements define them, shape=(12, parameters).
 
         The base is that of the instrument's frame, [v; omega]; the tool is at the mean of the points seen, [v; omega]
-        in its own axes. A shift or rotation common to all points is equivalent to another tool.
+        in its own axes. A shift or rotation common to all points is equivalent to another tool. If it is not that of
+        the points, it is where the machine's parameters have it: no parameter here moves it.
         """
         found = np.zeros((12, len(self)))
         frame, targets = self.columns("frame"), self.columns("targets")
         found[np.arange(len(frame)), frame] = 1.0
         for part in self.parts:
-            if isinstance(part, _PointOffsets) and (part.kind == "targets" or not targets.size):
+            if of_points and isinstance(part, _PointOffsets) and (part.kind == "targets" or not targets.size):
                 rows = np.concatenate([np.hstack([np.eye(3), -_cross(point)]) for point in part.points])
                 found[6:, self.columns(part.kind)] = np.linalg.pinv(rows)
         return found
@@ -299,6 +300,32 @@ def datum_motions(poses: Poses) -> Array:
     own = np.zeros((len(poses), 6, 6))
     own[:, :3, :3] = own[:, 3:, 3:] = poses.rotations
     return np.concatenate([_rigid_motions(poses), own], axis=2)
+
+
+def seen_datum_map(nuisances: Nuisances, machine: Array, poses: Poses, weights: Array, covariance: Array) -> Array:
+    """Return :meth:`Nuisances.datum_map` with the tool as the points show it where it is known better so.
+
+    Points that are known worse than the parts of the machine, such as the one stylus of a probe, would make the tool
+    less certain than it is where the parameters have it.
+
+    Args:
+        nuisances: of the measurements.
+        machine: the tool's motions by the machine's parameters, shape=(n, 6, k) [m, rad].
+        poses: those over which it is judged, shape=(n,).
+        weights: of the tip error, shape=(6,).
+        covariance: of the machine's parameters and the nuisances, shape=(k + nuisances, same).
+    """
+    shown, base_and_tool = nuisances.datum_map(), datum_motions(poses)
+    if not shown[6:].any():
+        return shown
+    described = nuisances.datum_map(of_points=False)
+
+    def square(datum: Array) -> float:
+        effects = np.concatenate([machine, base_and_tool @ datum], axis=2) * weights[:, None]
+        flat = effects.reshape(-1, effects.shape[2])
+        return float(np.sum((flat.T @ flat) * covariance))
+
+    return shown if square(shown) <= square(described) else described
 
 
 def _cross(vector: Array) -> Array:

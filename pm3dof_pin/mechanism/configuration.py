@@ -173,9 +173,7 @@ class Configuration:
         ]
         for index, loop in enumerate(mechanism.closures):
             if loop.swing_limit is not None and (swing := self.swing(index)) > loop.swing_limit + LIMIT_TOLERANCE:
-                violations.append(
-                    LimitViolation(f"{loop.frame_a}-{loop.frame_b}", "swing", swing, 0.0, loop.swing_limit)
-                )
+                violations.append(LimitViolation(loop.name, "swing", swing, 0.0, loop.swing_limit))
         return tuple(violations)
 
     def _placement(self, frame_id: int) -> pin.SE3:

@@ -16,7 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
-from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.description.closures import LoopClosure, uniquely_named
 from pm3dof_pin.description.coordinates import (
     TOOL_COMPONENTS,
     Command,
@@ -85,7 +85,8 @@ class Mechanism:
     Raises:
         FrameNotFoundError: a closure or the tool names a frame that the model does not have.
         JointNotFoundError: an actuated joint or motion coordinate is not in the model.
-        DescriptionError: such a joint has several degrees of freedom, or a closure joins two frames of one body.
+        DescriptionError: such a joint has several degrees of freedom; a closure joins two frames of one body; or two
+            hold the distance of the same frames.
         InvalidValueError: the characteristic length is not a positive number.
     """
 
@@ -113,7 +114,7 @@ class Mechanism:
         self._prototype: Self | None = None
         self.model = model.copy()
         self.name: str = model.name or "robot"
-        self.closures = tuple(closures)
+        self.closures = uniquely_named(closures)
         self.couplings = tuple(couplings)
         self.tool_frame = tool_frame
         self.springs = tuple(springs)
@@ -145,8 +146,7 @@ class Mechanism:
         if tool_frame is not None:
             self._frame_id(tool_frame, f"{self.source}: tool_frame")
         self._check_couplings()
-        for loop in enumerate(self.closures):
-            self._anchors(*loop)  # whose frames must exist
+        self._check_closures()
         angular = [entry for closure in self.closures for entry in closure.kind.is_angular]
         angular += [not self.single_joint(coupling.joint).translates for coupling in self.couplings]
         length = self._typical_length() if characteristic_length is None else characteristic_length
@@ -415,6 +415,19 @@ class Mechanism:
                 "frames with springs between them",
             )
         return anchors
+
+    def _check_closures(self) -> None:
+        rods: dict[frozenset[str], int] = {}
+        for index, loop in enumerate(self.closures):
+            self._anchors(index, loop)  # whose frames must exist
+            first = rods.setdefault(frozenset((loop.frame_a, loop.frame_b)), index) if loop.kind.is_distance else index
+            if first != index:
+                raise DescriptionError(
+                    self.source,
+                    f"closed_loop[{index}]",
+                    f"closed_loop[{first}] holds the distance of these frames already: expected "
+                    "other frames, as one distance has one length",
+                )
 
     def _check_couplings(self) -> None:
         for coupling in self.couplings:

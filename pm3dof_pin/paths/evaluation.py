@@ -29,7 +29,7 @@ from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity_measures import least_singularity_measures
-from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
+from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS, is_wrench
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.paths.bounds import DriveForces, MotionLimits, along_path, drive_limits, path_metric
 from pm3dof_pin.paths.cutting import Milling
@@ -67,6 +67,20 @@ class PathOptions:
     large: bool = False  #: whether deflections are those of the loaded equilibrium, pose by pose
     errors: GeometricErrors | None = None  #: errors of the robot, for the expected error
     calibration: Compensation | None = None  #: calibration of the robot, for its commands and expected error
+    #: temperatures, loads that were learned from, and the time, by name, on which the calibration depends; wrenches on
+    #: springs are those of the path
+    conditions: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the conditions, and fill in those that are missing."""
+        known = self.calibration
+        if self.conditions and known is None:
+            raise InvalidValueError("conditions", sorted(self.conditions), "a calibration that depends on them")
+        if known is None:
+            return
+        if known.bears_wrenches and (loads := sorted(filter(is_wrench, self.conditions))):
+            raise InvalidValueError("conditions", loads, "no loads, which are those of the path")
+        object.__setattr__(self, "conditions", known.with_usual_conditions(self.conditions))
 
 
 class PathEvaluation:
@@ -376,15 +390,13 @@ class PathEvaluation:
         if self.options.calibration is not None:
             known = self.options.calibration
             own = Poses(known.errors.robot, poses.q, poses.residual, poses.broken_limits)
-            conditions: Mapping[str, Array | float] = {}
+            conditions: dict[str, Array | float] = {**self.options.conditions}
             if wrenches.any() and known.bears_wrenches:
                 moved = wrenches.copy()
                 arm = self.options.tool_length * poses.rotations[:, :, 2]
                 moved[:, 3:] += np.cross(np.nan_to_num(arm), wrenches[:, :3])
-                conditions = dict(zip(WRENCH_COLUMNS, moved.T, strict=True))
-            answer = known.compensate(
-                own, known.with_usual_conditions(conditions), on_failure="nan", with_deviations=False
-            )
+                conditions |= dict(zip(WRENCH_COLUMNS, moved.T, strict=True))
+            answer = known.compensate(own, conditions, on_failure="nan", with_deviations=False)
             columns |= self._numbered("calibrated_", answer.commands)
             columns |= {"expected_error_m": answer.predicted_error, "error_95_percent_m": answer.error_bound}
         elif self.options.errors is not None:

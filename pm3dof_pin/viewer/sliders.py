@@ -332,7 +332,7 @@ def _swing_limits(robot: Robot) -> list[Json]:
             "lower": 0.0,
             "upper": loop.swing_limit,
             "joint": robot.model.frames[robot.frame_id(loop.frame_a)].parentJoint,
-            **_limit_text(names[f"{loop.frame_a}-{loop.frame_b}"], "rad"),
+            **_limit_text(names[loop.name], "rad"),
         }
         for loop in robot.closures
         if loop.swing_limit is not None

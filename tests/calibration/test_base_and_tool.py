@@ -9,6 +9,8 @@ import pytest
 
 from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.expectation import Expectation
+from pm3dof_pin.calibration.planning import PlanningProblem
+from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -87,3 +89,26 @@ def test_where_a_camera_stands_is_its_frame() -> None:
     assert found.budget["targets"] < 1e-7
     assert found.budget["frame"] > 5e-5
     assert "the location of the base, which counts with its tolerances" in found.not_seen
+
+
+def test_a_stylus_makes_no_tool_less_certain_than_its_parts() -> None:
+    """By heights above a plane nothing tells its place along them, however badly known: the tool is the description's.
+
+    What is expected is then no more than of the machine as described, of parts as far off as the prior says.
+    """
+    errors = GeometricErrors.load("three_rps")
+    generator = np.random.default_rng(3)
+    world, poses = World.random("geometry", errors, generator), reachable_poses(errors.robot, 40, generator)
+    told = []
+    for sigma in (1e-3, 1e-2):
+        gauge = placed_instrument("gauge", poses, point=(0.12, 0.0, 0.01), target_sigma=sigma)
+        rows = world.measure(poses.commands, np.random.default_rng(4), gauge)
+        found = calibrate(rows, errors, "lm", on_refusal="keep")
+        told.append(np.sqrt(sum(value**2 for value in found.expectation.budget.values())))
+        identified = found.identification
+        worst = identified.prior * (1.0 + 2.0 * identified.prior_error)
+        assert told[-1] < worst * np.sqrt(np.mean(error_map(errors, poses).tip_rms ** 2))
+        assert "of the tool as its targets show it" not in found.expectation.text
+        problem = PlanningProblem(errors, poses, instrument=gauge)
+        assert problem.predicted_tip_rms(range(40)) < problem.predicted_tip_rms(())
+    assert told[1] == pytest.approx(told[0], rel=0.1)

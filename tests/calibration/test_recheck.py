@@ -157,3 +157,41 @@ def test_a_method_without_parameters_is_refused(case: Case) -> None:
     bare = replace(calibration.compensation, values=None, covariance=None)
     with pytest.raises(InvalidValueError, match="has no parameters"):
         recheck(bare, seen)
+
+
+def test_parts_beyond_what_is_said_are_found(case: Case) -> None:
+    """Parts that leave a third more of the tip's error beyond new zeros than is said to be found surely are found.
+
+    No test can do it much below twice the noise: one that knows which part moved, and nothing else, needs rows that
+    differ by 3.3 standard deviations for 95 % at a risk of 5 %.
+    """
+    machine, calibration, commands, generator = case
+    known = calibration.compensation
+    errors, count = known.errors, commands.shape[1]
+    seen = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+    said = recheck(known, seen).detectable_parts
+    poses = pm.reachable_poses(errors.robot, 100, generator)
+    weights = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])[:, None]
+
+    def columns(at: pm.Poses) -> tuple[np.ndarray, np.ndarray]:
+        found = pm.sensitivities(errors, at)
+        return (weights * found.errors).reshape(-1, len(errors)), (weights * found.commands).reshape(-1, count)
+
+    by_parts, by_zeros = columns(poses)
+    beyond = by_parts - by_zeros @ np.linalg.lstsq(by_zeros, by_parts, rcond=None)[0]
+    left = np.linalg.norm(beyond, axis=0) / np.sqrt(len(poses))
+    rows, zeros = columns(errors.robot.forward(commands))
+    noise = np.tile(np.repeat([seen.sigmas[0, 0], 0.1 * seen.sigmas[0, 3]], 3), len(commands))[:, None]
+    rows, zeros = rows / noise, zeros / noise
+    rows -= zeros @ np.linalg.lstsq(zeros, rows, rcond=None)[0]
+    parts = np.flatnonzero(left * errors.tolerances > 0.1 * np.max(left * errors.tolerances))
+    least = 3.3 * np.median(left[parts] / np.linalg.norm(rows[:, parts], axis=0))
+    assert least < said < 6.0 * least
+    called = []
+    for part in generator.choice(parts, 4, replace=False):
+        values = np.array(machine.geometric.values)  # type: ignore[union-attr]
+        values[part] += 1.35 * said / left[part]
+        moved = replace(machine, geometric=replace(machine.geometric, values=values))  # type: ignore[type-var]
+        new = pm.Measurements.from_poses(commands, moved.measure(commands, generator))
+        called.append(recheck(known, new).verdict)
+    assert called.count("recalibrate") >= 3
