@@ -226,7 +226,7 @@ class PlacedMechanism(Mechanism):
             ConvergenceError: the loops do not close near home.
         """
         mobility = instantaneous_mobility(generic_configuration(self.home))
-        return mobility.actuator_rank.rank == mobility.count - mobility.idle_motions.shape[1]
+        return bool(mobility.actuator_rank.rank == mobility.count - mobility.idle_motions.shape[1])
 
     def has_null_motions(self, coordinates: Sequence[Coordinate]) -> bool:
         """Return whether the drives can move while coordinates of the tool stay, so that poses there are many.

@@ -220,7 +220,8 @@ def signed_blocks(rates: Array) -> list[tuple[tuple[int, ...], tuple[int, ...]]]
     known = rates[np.isfinite(rates).all(axis=(1, 2))]
 
     def is_regular(block: tuple[tuple[int, ...], tuple[int, ...]]) -> bool:
-        singular = np.linalg.svd(known[(slice(None), *np.ix_(*block))], compute_uv=False)
+        rows, columns = block
+        singular = np.linalg.svd(known[:, rows][:, :, columns], compute_uv=False)
         return bool(median(singular[:, -1]) > RANK * median(singular[:, 0]))
 
     return [block for block in blocks if len(block[0]) == len(block[1]) and (not len(known) or is_regular(block))]
