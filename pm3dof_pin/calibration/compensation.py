@@ -62,6 +62,7 @@ class Compensated:
     #: according to the calibrated model, and the uncertainty of everything predicted
     predicted_error: Array
     error_bound: Array  #: bound of the tip error, with the probability :data:`COVERAGE`, shape=(n,) [m]
+    floor: Array  #: tip error that no command corrects according to the calibrated model, shape=(n,) [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +192,8 @@ class Compensation:
             raise ShapeError("wanted", nominal.shape, "one pose, or a list of them")
         count, drives = len(nominal), len(self.errors.robot.commands)
         commands, deviations = np.full((2, count, drives), np.nan)
-        predicted, bounds = np.full((2, count), np.nan)
-        answer = Compensated(commands, np.array(nominal.commands), deviations, predicted, bounds)
+        predicted, bounds, floor = np.full((3, count), np.nan)
+        answer = Compensated(commands, np.array(nominal.commands), deviations, predicted, bounds, floor)
         given = {name: np.broadcast_to(values, count) for name, values in (conditions or {}).items()}
         for start in range(0, count, _CHUNK):
             rows = np.arange(start, min(start + _CHUNK, count))[nominal.solved[start : start + _CHUNK]]
@@ -245,7 +246,8 @@ class Compensation:
                     self._fill(answer, half, nominal, given, on_failure, with_deviations=with_deviations)
             return
         answer.commands[taken], answer.deviations[taken] = commands, deviations
-        answer.predicted_error[taken] = np.sqrt(np.sum(left**2, axis=1) + np.einsum("nii->n", spread))
+        answer.floor[taken] = np.linalg.norm(left, axis=1)
+        answer.predicted_error[taken] = np.sqrt(answer.floor[taken] ** 2 + np.einsum("nii->n", spread))
         if self.scatter.tails > 1.0:
             control = weighted_control(nearest, self.eta)
             spread = spread + (self.scatter.tails**2 - 1.0) * self.scatter.covariances(control)

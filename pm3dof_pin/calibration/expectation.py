@@ -19,8 +19,7 @@ from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
 from pm3dof_pin.calibration.pseudo_error import motions_seen, seen_errors
 from pm3dof_pin.calibration.scatter import COVERAGE
-from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
-from pm3dof_pin.errors.pose_error import pose_difference
+from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -164,7 +163,7 @@ class Expectation:
         repeated = Repeatability.from_fit(calibration)
         model = compensation.model_poses(poses[reached])
         square = _mean_square(calibration, model)
-        budget = _uncertainty_budget(calibration, poses[reached], model, square, repeated)
+        budget = _uncertainty_budget(calibration, answer.floor[reached], model, square, repeated)
         unlocated = {} if square is None else _unlocated(calibration, square)
         interval = calibration.tip_interval(poses[reached])
         if interval is not None:
@@ -312,7 +311,7 @@ def _unlocated(calibration: Fit, square: Array) -> dict[str, float]:
 
 
 def _uncertainty_budget(
-    calibration: Fit, poses: Poses, model: Poses, square: Array | None, repeated: Repeatability | None
+    calibration: Fit, floor: Array, model: Poses, square: Array | None, repeated: Repeatability | None
 ) -> dict[str, float]:
     """Return each source's contribution to the corrected machine's tip error, root mean square over desired poses [m].
 
@@ -327,9 +326,7 @@ def _uncertainty_budget(
     conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
     parts = dict.fromkeys(("floor", "instrument", "frame", "targets", "parameters", "learned"), 0.0)
     if compensation.values is not None and square is not None:
-        nearest = nearest_poses(model, poses.transforms, compensation.eta, on_failure="nan")
-        left = pose_difference(poses.transforms, nearest.transforms) * weights
-        parts["floor"] = float(np.mean(np.sum(left**2, axis=1)))
+        parts["floor"] = float(np.mean(floor**2))
         parts |= _of_parameters(calibration, square)
         left_out = np.zeros(len(square))
         left_out[: len(found.values)] = found.values - compensation.values
@@ -340,7 +337,7 @@ def _uncertainty_budget(
         parts["learned"] = float(np.mean(np.sum((control * spread[:, None, :]) ** 2, axis=(1, 2))))
     scatter = compensation.scatter.tip_error**2
     drift = compensation.session.common_effects({}, model, compensation.eta)
-    parts["drift"] = float(np.sum(drift**2)) / len(poses)
+    parts["drift"] = float(np.sum(drift**2)) / len(model)
     left = compensation.session.scatter({}, model, compensation.eta)
     parts["hysteresis"] = float(np.mean(np.einsum("nii->n", left)))
     parts["repeatability"] = 0.0 if repeated is None else min(scatter, repeated.tip_sigma**2)

@@ -164,9 +164,9 @@ class _Kernel:
     """The kernel over one set of inputs, with derivatives with respect to the logarithms."""
 
     def __init__(self, inputs: Array, drive: int) -> None:
+        self._inputs = inputs
         self._products = 1.0 + inputs @ inputs.T
-        self._squares = (inputs[:, None, :] - inputs[None, :, :]) ** 2
-        self._drive = drive
+        self._own_squares = (inputs[:, None, drive] - inputs[:, drive]) ** 2
         self.count = inputs.shape[1]
 
     def value(self, logarithms: Array) -> Array:
@@ -174,16 +174,21 @@ class _Kernel:
 
     def parts(self, logarithms: Array) -> tuple[Array, Array, Array]:
         c, s, o, _, *scales = np.exp(logarithms)
-        smooth = np.exp(self._squares @ (-0.5 / np.square(scales[:-1])))
-        own = np.exp(self._squares[:, :, self._drive] * (-0.5 / scales[-1] ** 2))
+        scaled = self._inputs / scales[:-1]
+        smooth: Array = scaled @ scaled.T
+        half_squares = 0.5 * np.diag(smooth)
+        smooth = np.exp(smooth - half_squares[:, None] - half_squares)
+        own = np.exp(self._own_squares * (-0.5 / scales[-1] ** 2))
         return c**2 * self._products, s**2 * smooth, o**2 * own
 
     def slopes(self, inner: Array, parts: tuple[Array, Array, Array], logarithms: Array) -> Array:
-        """Return the sums of `inner` times the derivatives by all logarithms except the noise's, in order."""
+        """Return the sums of symmetric `inner` times the derivatives by all logarithms except the noise's, in order."""
         linear, smooth, own = (inner * part for part in parts)
         squared = np.exp(2.0 * logarithms[4:])
-        by_scales = np.tensordot(smooth, self._squares, 2) / squared[:-1]
-        by_own = np.vdot(own, self._squares[:, :, self._drive]) / squared[-1]
+        # sum_ab k_ab (x_a - x_b)^2 = 2 sum_a x_a (sum_b k_ab x_a - sum_b k_ab x_b)
+        apart = smooth.sum(axis=1)[:, None] * self._inputs - smooth @ self._inputs
+        by_scales = 2.0 * np.sum(self._inputs * apart, axis=0) / squared[:-1]
+        by_own = np.vdot(own, self._own_squares) / squared[-1]
         return np.array([2.0 * linear.sum(), 2.0 * smooth.sum(), 2.0 * own.sum(), *by_scales, by_own])
 
 
@@ -233,7 +238,8 @@ def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
         value = 0.5 * deviations @ weights + np.log(np.diag(factor)).sum()
         inner = inverse - np.outer(weights, weights)
         by_noise = np.trace(inner) * np.exp(2.0 * logarithms[3])
-        gradient = np.insert(0.5 * kernel.slopes(inner, parts, logarithms), 3, by_noise)
+        slopes = 0.5 * kernel.slopes(inner, parts, logarithms)
+        gradient = np.concatenate([slopes[:3], [by_noise], slopes[3:]])
         off = (logarithms[4:] - lengths) / _SCALE_SPREAD
         gradient[4:] += off / _SCALE_SPREAD
         return float(value + 0.5 * off @ off), gradient

@@ -317,7 +317,7 @@ class PlanningProblem:
         taken = np.zeros(len(self.candidates), dtype=bool)
         while len(chosen) < count:
             gains = sum(
-                np.sum(covariance**2, axis=1) / (variance + _PROCESS_NOISE**2)
+                np.einsum("nt,nt->n", covariance, covariance) / (variance + _PROCESS_NOISE**2)
                 for covariance, variance in zip(across, own, strict=True)
             )
             best = int(np.argmax(np.where(taken, -np.inf, gains)))
@@ -330,7 +330,7 @@ class PlanningProblem:
                 column -= sum((row * row[best] for row in seen[drive]), np.zeros(len(column)))
                 scale = np.sqrt(own[drive][best] + _PROCESS_NOISE**2)
                 row, step = column / scale, across[drive][best] / scale
-                across[drive] = across[drive] - np.outer(row, step)
+                across[drive] -= np.outer(row, step)
                 own[drive] = own[drive] - row**2
                 seen[drive].append(row)
         return np.array(chosen, dtype=np.intp)

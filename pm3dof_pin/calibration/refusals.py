@@ -55,14 +55,16 @@ def doubts(calibration: Fit, measurements: Measurements) -> Iterator[str]:
     """Yield what is doubtful about a calibration that is not refused: its noise, and parts far from the description."""
     found, eta = calibration.identification, calibration.options.eta
     noise = _noise_in_words(calibration)
-    change = _change_in_the_middle(calibration) if found.noise_factor > _NOISY else ""
-    if change:
-        yield f"residuals are {found.noise_factor:.3g} times the noise: most likely {change}"
-    elif found.noise_factor >= _NOISY:
-        yield (
-            f"residuals are {found.noise_factor:.3g} times the noise: {_rounded(found.measurements)}effects that the "
-            "parameters do not describe, rows of another state of the machine, or sigmas that are too small"
+    noisy = found.noise_factor >= _NOISY
+    sag = _sag(calibration) if noisy else ""
+    change = _change_in_the_middle(calibration) if noisy and not sag else ""
+    if noisy:
+        others = (
+            f"{_rounded(found.measurements)}effects that the parameters do not describe, rows of another state of the "
+            "machine, or sigmas that are too small"
         )
+        cause = sag or (f"most likely {change}" if change else others)
+        yield f"residuals are {found.noise_factor:.3g} times the noise: {cause}"
     elif noise:
         yield noise
     compensation = calibration.compensation
