@@ -214,7 +214,7 @@ def calibrate(
         raise CalibrationRefusedError([str(failure), *filter(None, [cause])]) from failure
     report_progress(2, 4)
     if against:
-        against += filter(None, [likely_cause(seen, errors, options.eta)])
+        against += filter(None, [likely_cause(seen, errors, options.eta, fitted.identification)])
         if on_refusal == "raise":
             raise CalibrationRefusedError(against)
     further = [] if against else list(doubts(fitted, seen))

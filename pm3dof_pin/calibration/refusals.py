@@ -40,7 +40,7 @@ _MISPLACED = 8.0  # standard deviations of a target or tool point
 _EXACT = 1e-10  # [m]
 _OTHER = 6.0  # tolerances
 _POSES = 50  # number of poses for judging tolerances
-_EXPLAINS = 0.5  # fraction of the misfit that a mistake may leave
+_EXPLAINS = 0.5  # fraction of the misfit, and of what is far from the description, that a mistake may leave
 _OWN = 1.5  # times the possible error of a machine: up to here it needs no mistake
 _HALF = 0.5  # of the noise factor, that a change in the middle may leave
 _ALIKE = 1.5  # times the misfit left by another mistake: not distinguishable from it
@@ -77,7 +77,7 @@ def doubts(calibration: Fit, measurements: Measurements) -> Iterator[str]:
         if abs(value) > _OTHER * parameter.tolerance
     ]
     if parts:
-        cause = "most likely that change" if change else likely_cause(measurements, errors, eta)
+        cause = "most likely that change" if change else likely_cause(measurements, errors, eta, found)
         cause = cause or "none of the usual mistakes explains it"
         yield f"far from the description: {', '.join(parts)}. Another part, or a mistake? {cause[0].upper()}{cause[1:]}"
 
@@ -137,9 +137,9 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
             f"the residuals left by the parameters, {1e3 * left:.3g} mm (median), are larger than the machine could be "
             f"off, {1e3 * expected:.3g} mm; noise factor {found.noise_factor:.3g}"
         )
-    elif (size := _strain(calibration)) > STRAIN:
+    elif (size := _tolerances_off(found)) > STRAIN * found.prior:
         reasons.append(
-            f"the best-fitting parameters are {size * prior:.3g} tolerances (root mean square) from the description: "
+            f"the best-fitting parameters are {size:.3g} tolerances (root mean square) from the description: "
             f"{_sag(calibration) or 'another machine, or another frame'}"
         )
     if (chance := calibration.chance_of_harm) > 1.0 - COVERAGE:
@@ -211,26 +211,29 @@ def _sag(calibration: Fit) -> str:
     return sag_in_words(errors, errors.robot.forward(calibration.measurements.visits.commands[:_POSES]), eta)
 
 
-def _strain(calibration: Fit) -> float:
-    """Return how far the parameters are from the description, in units of their prior standard deviations.
+def _tolerances_off(found: Identification) -> float:
+    """Return how far the parameters are from the description, in tolerances.
 
     Root mean square over the combinations that the measurements determine.
     """
-    found = calibration.identification
-    if not np.isfinite(found.prior):
-        return 0.0
-    scaled = found.values / found.errors.tolerances / found.prior
+    scaled = found.values / found.errors.tolerances
     determined = len(scaled) - float(np.sum(found.shrinkage**2))
     return float(np.sqrt(np.sum(scaled**2) / max(determined, 1.0)))
 
 
-def likely_cause(measurements: Measurements, errors: GeometricErrors, eta: float = TIP_LENGTH) -> str:
+def likely_cause(
+    measurements: Measurements,
+    errors: GeometricErrors,
+    eta: float = TIP_LENGTH,
+    machine: Identification | None = None,
+) -> str:
     """Name the mistake that explains why measurements do not fit a machine; "" if no usual one does.
 
     A mistake is named only if the measurements corrected for it fit the machine to their noise, with parameters within
-    their tolerances and rows to spare. Of several, the one that brings the machine as described nearest to the
-    measurements is named first, then those as near: if the platform never turns, another tool point is equivalent to
-    another frame.
+    their tolerances and rows to spare; and if a `machine` identified from them as they are fits them as well, only if
+    its parameters are much farther from the description: it may be a bad machine. Of several, the one that brings the
+    machine as described nearest to the measurements is named first, then those as near: if the platform never turns,
+    another tool point is equivalent to another frame.
     """
     try:
         measurements, nominal = _reached(measurements[:_MAX_ROWS], errors.robot)
@@ -253,7 +256,8 @@ def likely_cause(measurements: Measurements, errors: GeometricErrors, eta: float
         if after < _EXPLAINS * before:
             found.append((max(after, _OWN * possible), after, mistake))
     found = sorted(found, key=lambda pair: pair[0])[:_MAX_FITS]
-    fitting = [(rest, after, mistake.text) for rest, after, mistake in found if _fits(mistake, errors, eta)]
+    farthest = np.inf if machine is None or machine.noise_factor > _LOUD else _EXPLAINS * _tolerances_off(machine)
+    fitting = [(rest, after, mistake.text) for rest, after, mistake in found if _fits(mistake, errors, eta, farthest)]
     if not fitting:
         return ""
     least, after, first = fitting[0]
@@ -264,8 +268,8 @@ def likely_cause(measurements: Measurements, errors: GeometricErrors, eta: float
     )
 
 
-def _fits(mistake: Mistake, errors: GeometricErrors, eta: float) -> bool:
-    """Tell whether a machine within its tolerances fits corrected measurements to their noise."""
+def _fits(mistake: Mistake, errors: GeometricErrors, eta: float, farthest: float) -> bool:
+    """Tell whether a machine within its tolerances, and no `farthest`, fits corrected measurements to their noise."""
     try:
         measurements, options = _reached(mistake.corrected, errors.robot)[0], Options("lm", eta=eta)
         first = identify(measurements, errors, loss=options.loss, precision=ROUGHLY)
@@ -275,7 +279,8 @@ def _fits(mistake: Mistake, errors: GeometricErrors, eta: float) -> bool:
         if mistake.again is not None:
             again = mistake.again(found.identification.measurements, found.identification.poses)
             found = fit(again, errors, options, quiet=True)
-        return found.identification.noise_factor < _LOUD and not refusals(found, None)
+        is_near = _tolerances_off(found.identification) <= farthest
+        return found.identification.noise_factor < _LOUD and is_near and not refusals(found, None)
     except (PM3DofError, np.linalg.LinAlgError):
         return False
 
@@ -283,16 +288,18 @@ def _fits(mistake: Mistake, errors: GeometricErrors, eta: float) -> bool:
 def _change_in_the_middle(calibration: Fit) -> str:
     """Say from which line on the measurements are of another set-up; "" if that does not explain their noise.
 
-    A machine identified from all of them lies between the two set-ups.
+    A machine identified from all of them lies between the two set-ups. Two changes that explain it alike are both
+    named: if the platform never turns, the instrument may have moved, or the point seen.
     """
-    found, options = calibration.identification, calibration.options
+    found, options, fitting = calibration.identification, calibration.options, list[tuple[float, str]]()
     shown, poses = found.settled[found.trusted], found.poses[found.trusted]
     for mistake in changes_in_the_middle(shown, poses, options.eta):
         corrected = replace(mistake.corrected, lines=shown.lines)
         again = identify(corrected, found.errors, prior=found.prior, loss=options.loss, precision=ROUGHLY)
         if again.noise_factor < _HALF * found.noise_factor:
-            return mistake.text
-    return ""
+            fitting.append((again.noise_factor, mistake.text))
+    least = min((noise for noise, _ in fitting), default=0.0)
+    return ", or ".join(text for noise, text in sorted(fitting) if noise <= _ALIKE * least)
 
 
 def _reached(measurements: Measurements, robot: Robot, guess: Poses | None = None) -> tuple[Measurements, Poses]:

@@ -54,6 +54,7 @@ _AT_REST = 0.99  # ratio of squared errors after and before a round that has set
 _DAMPING = 0.1  # of the first damped step
 _MAX_SHARE = 20.0  # largest weight in a prediction; that of equally spaced poses is 6
 _AT_ONCE = 4096  # poses per block, to stay in cache
+_ISLANDS = 100  # points of a grid, evenly taken from those not reached, that are sought one by one
 
 
 class Continuation:
@@ -330,19 +331,30 @@ class Continuation:
         )
 
     def _fill(self, q: Array, values: Array, *, keep_branch: bool) -> None:
-        """Find poses that a march left unsolved, by walks from home, then from solved neighbours, in place."""
+        """Find poses that a march left unsolved, in place.
+
+        By walks from home, then from solved neighbours and, for some of those without, as single poses are found.
+        """
         missing = np.isnan(q[..., 0])
         home = np.tile(self._home, (int(missing.sum()), 1))
         q[missing] = self._reached(home, values[missing], keep_branch=keep_branch)[0]
-        untried = np.isnan(q[..., 0])
+        untried, islands = np.isnan(q[..., 0]), True
         while untried.any():
             starts = _solved_neighbours(q)
             frontier = untried & np.isfinite(starts[..., 0])
-            if not frontier.any():  # islands
+            if not frontier.any():
                 if not self._robot.has_branches:
                     q[untried] = self._damped(
                         np.tile(self._home, (int(untried.sum()), 1)), values[untried], home_too=False
                     )
+                elif islands and self._null_motions is None:
+                    points = np.argwhere(untried)
+                    some = tuple(points[:: max(1, len(points) // _ISLANDS)].T)
+                    q[some] = find_poses(
+                        self._robot, self._coordinates, values[some], None, self, keep_branch=keep_branch
+                    ).q
+                    untried[some], islands = False, False
+                    continue
                 return
             untried &= ~frontier
             found = starts[frontier]

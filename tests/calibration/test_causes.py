@@ -16,11 +16,12 @@ import pytest
 from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.fit import Options, fit
 from pm3dof_pin.calibration.held_out import HeldOut
-from pm3dof_pin.calibration.refusals import likely_cause, refusals
+from pm3dof_pin.calibration.refusals import doubts, likely_cause, refusals
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import CalibrationRefusedError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.measurements import Measurements
 
 pytestmark = pytest.mark.usefixtures("few_folds")
@@ -109,6 +110,33 @@ def test_a_frame_that_is_a_little_wrong_is_objected_to(measured: Measurements, t
 def test_a_change_too_small_to_be_refused_is_named(measured: Measurements, tripod_errors: GeometricErrors) -> None:
     found = calibrate(_from_row_10(measured, 4e-4), tripod_errors, "lm")
     assert re.search("times the noise: most likely from line 12 on the (instrument|point)", " ".join(found.warnings))
+
+
+def test_two_changes_that_explain_the_same_are_both_named() -> None:
+    """The platform of a delta never turns, so that an instrument that has moved is another point of the tool."""
+    errors, rng = GeometricErrors.load("linear_delta"), np.random.default_rng(2)
+    sample = reachable_poses(errors.robot, 24, rng)
+    reached = errors.apply(errors.sample(rng)).forward(sample.commands, guess=sample.q)
+    seen = Measurements.from_poses(reached.commands, reached.transforms)
+    moved = replace(seen, positions=seen.positions + rng.normal(0.0, 1e-5, seen.positions.shape))
+    words = " ".join(calibrate(_from_row_10(moved, 1e-3), errors, "lm").warnings)
+    assert re.search(r"most likely from line 1[1-3] on the .*, or from line 1[1-3] on the ", words), words
+    assert "the instrument or the base has moved" in words
+    assert "the point seen is elsewhere on the tool" in words
+
+
+def test_a_bad_machine_is_no_mistake_in_its_file() -> None:
+    """Parts are three tolerances off: another frame brings the poses nearer to the description, but not the parts."""
+    errors, rng = GeometricErrors.load("three_rps"), np.random.default_rng(2)
+    sample = reachable_poses(errors.robot, 24, rng)
+    reached = errors.apply(3.0 * errors.sample(rng)).forward(sample.commands, guess=sample.q)
+    seen = Measurements.from_poses(reached.commands, reached.transforms)
+    noisy = replace(seen, positions=seen.positions + rng.normal(0.0, 1e-5, seen.positions.shape))
+    found = fit(noisy, errors, Options("lm"))
+    assert refusals(found, None) == []
+    words = " ".join(doubts(found, noisy))
+    assert "far from the description" in words
+    assert "none of the usual mistakes explains it" in words.lower()
 
 
 @pytest.mark.usefixtures("report_without_pictures")

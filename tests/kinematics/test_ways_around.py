@@ -49,3 +49,15 @@ def test_single_poses_are_found_wherever_a_map_finds_them(flat_three_rps: Robot)
     found = robot.forward(reached.commands, on_failure="nan")
     assert found.solved.all()
     assert not found.branch.any()
+
+
+def test_small_maps_far_from_home_have_the_poses_that_are_found_one_by_one(flat_three_rps: Robot) -> None:
+    robot, generator = flat_three_rps, np.random.default_rng(1)
+    found = robot.forward(robot.home_coordinates + generator.uniform(-0.12, 0.12, (300, 3)), on_failure="nan")
+    far = found[found.solved].commands[:20]
+    assert len(far) == 20
+    for commands in far:
+        axes = {c.name: (u - 1e-4, u + 1e-4, 3) for c, u in zip(robot.coordinates, commands, strict=True)}
+        mapped = robot.solve(robot.grid(**axes), on_failure="nan")
+        assert mapped.solved[1, 1, 1]
+        assert not mapped.branch.any()
