@@ -349,10 +349,8 @@ class Compensation:
         wanted = self.session.before_drift(nominal.transforms, conditions, nominal)
         left = pose_difference(wanted, reached.transforms) * self.weights
         control = weighted_control(nearest, self.eta)
-        drift = self.session.common_effects(conditions, nearest, self.eta)
         spread = self.covariances(nearest, conditions) + self.scatter.covariances(control)
-        spread += drift @ np.swapaxes(drift, 1, 2) + self.session.scatter(conditions, nearest, self.eta)
-        return left, spread
+        return left, spread + self.session.covariances(conditions, nearest, self.eta)
 
     def effects(self, poses: Poses) -> Array:
         """Return the tip-weighted tool motion by the parameters of `covariance`, shape=(n, 6, its rows)."""

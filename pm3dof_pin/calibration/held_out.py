@@ -14,6 +14,7 @@ from pm3dof_pin.calibration.identification import ROUGHLY, Identification, ident
 from pm3dof_pin.calibration.mistakes import millimetres
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
 from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
+from pm3dof_pin.calibration.session_effects import session_conditions
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_weights, weighted_energy
@@ -239,6 +240,7 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
     model = compensation.poses(nominal, visits.conditions)
     left = seen_errors(measurements, model, eta)
     uncertain = compensation.covariances(model, visits.conditions)
+    uncertain = uncertain + compensation.session.covariances(session_conditions(visits), model, eta)
     known = left.covariances + left.shown @ uncertain @ left.shown
     of_all = final.covariances(reached := final.model_poses(nominal), visits.conditions)
     effects = final.standard_effects(reached)

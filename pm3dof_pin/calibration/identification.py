@@ -28,7 +28,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances, seen_datum_map
-from pm3dof_pin.typing import Array, Indices
+from pm3dof_pin.typing import Array, Indices, Mask
 
 PRIOR = 3.0
 """k: prior standard deviation of the parameters, in units of their tolerances."""
@@ -272,27 +272,30 @@ class Identification:
         drives = tool_motions_by_drives(poses)
         return self.nuisances.removed(measurements, poses, drives, self.nuisance_values)
 
-    def likely_prior(self) -> tuple[float, float]:
+    def likely_prior(self, free: Mask) -> tuple[float, float]:
         """Return the most likely k, the parameters' typical error in units of tolerances, and its relative error.
 
         k maximises the likelihood of the measurements (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g, with
         x the parameters in tolerances, identified with a generous prior, and g the effective number of them that the
         data determine. The tolerances' own value, k = 1, counts as much as some of these. k is at most that of the
         identification. The relative standard error of a standard deviation from so many is 1 / sqrt(2 (g + some)).
+
+        Args:
+            free: parameters whose tolerances say only that they are not known, shape=(parameters,). They tell nothing
+                of how the parts were made, and are left out like what else is estimated.
         """
-        count = len(self.errors)
-        measuring = self.rows[:, :, count:]
+        sized = np.flatnonzero(~free)
         scaled = np.sqrt(self.weights)[:, None, None] / self.noise_factors[:, None]
-        blocks = (scaled * self.rows[:, :, :count]).reshape(-1, count)
-        if measuring.shape[2]:
-            others = (scaled * measuring).reshape(len(blocks), -1)
+        blocks = (scaled * self.rows[:, :, sized]).reshape(-1, len(sized))
+        others = (scaled * np.delete(self.rows, sized, axis=2)).reshape(len(blocks), -1)
+        if others.size:
             blocks = blocks - others @ np.linalg.lstsq(others, blocks, rcond=REGRESSOR_TOLERANCE)[0]
         values, axes = np.linalg.eigh(blocks.T @ blocks)
         values = np.maximum(values, 0.0)
         most = self.prior if np.isfinite(self.prior) else PRIOR
         k, effective = most, 0.0
         # the least-squares solution along each axis, from the one with the prior
-        start = axes.T @ (self.values / self.errors.tolerances)
+        start = axes.T @ (self.values / self.errors.tolerances)[sized]
         pulled = start * (values + (0.0 if np.isinf(self.prior) else 1.0 / self.prior**2))
         for _ in range(_MAX_STEPS):
             x = pulled / (values + 1.0 / k**2)

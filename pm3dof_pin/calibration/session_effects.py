@@ -21,6 +21,7 @@ from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.pose_error import moved_pose, tip_weights
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.joint_columns import approach_columns
+from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array
 
@@ -125,6 +126,11 @@ class SessionEffects:
         unknown = (np.outer(self.drift, self.drift) + self.drift_covariance) / 12.0
         return np.asarray(motions @ covariance_root(unknown))
 
+    def covariances(self, conditions: Mapping[str, Array | float], poses: Poses, eta: float) -> Array:
+        """Return the covariance of what hysteresis and drift leave, shape=(n, 6, 6) [m^2]."""
+        drift = self.common_effects(conditions, poses, eta)
+        return np.asarray(drift @ np.swapaxes(drift, 1, 2) + self.scatter(conditions, poses, eta))
+
     def _approaches(self, conditions: Mapping[str, Array | float], poses: Poses) -> Array:
         count = len(poses.robot.commands)
         return np.column_stack(
@@ -134,6 +140,16 @@ class SessionEffects:
     def _part(self, times: Array | float, poses: Poses) -> Array:
         """Return the part of the drift at times, -1/2 at the start of the session."""
         return np.broadcast_to((np.asarray(times, dtype=float) - self.start) / self.duration - 0.5, len(poses))
+
+
+def session_conditions(measurements: Measurements) -> dict[str, Array]:
+    """Return the directions of approach and the times of measurements as conditions by column; none where unknown."""
+    found: dict[str, Array] = {}
+    if measurements.approaches is not None:
+        found |= dict(zip(approach_columns(measurements.commands.shape[1]), measurements.approaches.T, strict=True))
+    if measurements.times is not None:
+        found[TIME_COLUMN] = measurements.times
+    return found
 
 
 def approaches_along(commands: Array) -> Array:

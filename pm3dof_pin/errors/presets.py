@@ -29,7 +29,7 @@ from pm3dof_pin.errors.part_tolerances import Process, with_process
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Vector
+from pm3dof_pin.typing import Mask, Vector
 
 Preset = Literal["complete", "dh", "zeros-only", "firmware-delta-6", "firmware-delta-7", "firmware-delta-9"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
@@ -77,6 +77,18 @@ def with_free_zeros(errors: GeometricErrors) -> GeometricErrors:
         for parameter in errors.parameters
     ]
     return GeometricErrors(errors.robot, free, fixed_bearings=errors.fixed_bearings, file=errors.file)
+
+
+def nearly_free(errors: GeometricErrors) -> Mask:
+    """Tell which parameters are zeros of drives known to :data:`ZERO_TOLERANCE` or worse, shape=(parameters,)."""
+    return np.array(
+        [
+            parameter.tolerance >= ZERO_TOLERANCE[parameter.unit]
+            and kind_of(errors.robot, parameter) == "zero of a drive"
+            for parameter in errors.parameters
+        ],
+        dtype=bool,
+    )
 
 
 def _complete(robot: Robot) -> GeometricErrors:

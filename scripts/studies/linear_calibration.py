@@ -22,6 +22,7 @@ from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
+from pm3dof_pin.errors.presets import nearly_free
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances, datum_motions
@@ -101,7 +102,7 @@ def identified(station: Station, measurements: Measurements) -> Identification:
             measurements = measurements.in_moved_base(known[frame])
             known[frame] = 0.0
         if prior == PRIOR:
-            prior, error = found.likely_prior()
+            prior, error = found.likely_prior(nearly_free(station.errors))
     return replace(found, measurements=measurements, nuisance_values=known)
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import pm3dof_pin as pm
 from pm3dof_pin.errors.part_tolerances import with_process
+from pm3dof_pin.errors.presets import nearly_free, with_free_zeros
 from pm3dof_pin.exceptions import InvalidValueError
 
 ARM = """<robot name="arm"><link name="base"/><link name="upper"/><link name="flange"/>
@@ -47,3 +48,11 @@ def test_a_file_of_them(arm: pm.GeometricErrors, run: Callable[..., Any], tmp_pa
     assert tolerances["shoulder.ry"] == 50e-3  # not homed to an absolute mark
     assert {1e3 * size for name, size in tolerances.items() if ".t" in name} == {1.0, 0.4}
     assert run("error-parameters", *words[:4], "--process", "coarse", cwd=tmp_path).returncode == 2
+
+
+def test_zeros_that_are_nearly_free(arm: pm.GeometricErrors) -> None:
+    """Turns about the drives' axes, y, once they are known to 50 mrad only; no others, and none as they come."""
+    assert not nearly_free(arm).any()
+    free = with_free_zeros(arm)
+    named = [name for name, is_free in zip(free.names, nearly_free(free), strict=True) if is_free]
+    assert named == ["shoulder.ry", "elbow.ry"]
