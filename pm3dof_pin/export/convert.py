@@ -19,7 +19,7 @@ from pm3dof_pin.description.robots import CLOSURES_SUFFIX
 from pm3dof_pin.description.urdf_files import closure_entries, yaml_data
 from pm3dof_pin.description.yaml_file import yaml_text
 from pm3dof_pin.elastic.batch import compliance
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, PM3DofError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, PM3DofError, first_words
 from pm3dof_pin.export.formats import FLOATING, MESH_KINDS, exported_files
 from pm3dof_pin.export.robot_document import RobotDocument, joint_numbers, read_robot
 from pm3dof_pin.export.xml_text import document_text, numbers_text
@@ -236,12 +236,14 @@ def _losses(document: RobotDocument, file: Path, zeros: Mapping[str, float]) -> 
         return
     for old, new in document.renamed.items():
         yield f"joint {old} is called {new}, since a link or frame has its name"
+    split: dict[str, list[str]] = {}
     for joint in document.described.joints:
-        other = again.description.joint_by_name.get(joint.name, joint)
-        if joint.dof > 1 and other.type != joint.type:
-            singular = "" if joint.type == "planar" else ", singular where the turn about y is 90 deg"
-            parts = f"slides or turns in a row, with limits and masses{singular}"
-            yield f"joint {joint.name}, {joint.type}, is read back as {parts}"
+        if joint.dof > 1 and again.description.joint_by_name.get(joint.name, joint).type != joint.type:
+            split.setdefault(joint.type, []).append(joint.name)
+    for kind, names in split.items():
+        singular = "" if kind == "planar" else ", singular where the turn about y is 90 deg"
+        which = f"joint {names[0]}, {kind}, is" if len(names) == 1 else f"joints {first_words(names)}, {kind}, are"
+        yield f"{which} read back as slides or turns in a row, with limits and masses{singular}"
     types = [", ".join(loop.type for loop in which.closures) or "none" for which in (robot, again)]
     if Counter(types[0].split(", ")) != Counter(types[1].split(", ")):
         yield f"closures {types[0]} are read back as {types[1]}"
