@@ -184,10 +184,13 @@ class PlanningProblem:
         self.sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
         self._prior = np.diag(np.concatenate([self.sigmas, self.nuisances.sigmas]) ** -2.0)
         # base and tool are as the measurements define them, here all candidates
-        own = np.r_[: len(errors), len(self.unknowns) : self._rows.shape[2]]
-        units = np.concatenate([errors.tolerances, self.nuisances.scales])
-        known = np.linalg.inv(self.information(np.arange(len(candidates))))[np.ix_(own, own)] * np.outer(units, units)
-        shown = seen_datum_map(self.nuisances, tests.sensitivities.errors, tests.poses, tests.weights, known)
+        shown = self.nuisances.datum_map()
+        if shown[6:].any():
+            own = np.r_[: len(errors), len(self.unknowns) : self._rows.shape[2]]
+            units = np.concatenate([errors.tolerances, self.nuisances.scales])
+            known = np.linalg.inv(self.information(np.arange(len(candidates))))[np.ix_(own, own)]
+            known *= np.outer(units, units)
+            shown = seen_datum_map(self.nuisances, tests.sensitivities.errors, tests.poses, tests.weights, known)
         datum = datum_motions(tests.poses) @ (shown * self.nuisances.scales)
         effects = np.concatenate([self.tested.effects, datum * tests.weights[:, None]], axis=2)
         effects = effects.reshape(-1, self._rows.shape[2]) / np.sqrt(len(tests.poses))

@@ -295,9 +295,9 @@ def recheck(calibration: Compensation | Path | str, measurements: Measurements, 
         verdict = "recalibrate"
     found, sigmas = rows.zeros(count)
     generator = np.random.default_rng(seed)
-    parts = _detectable_parts(rows, hypotheses, left, known.errors.tolerances, generator)
-    shown = _NOTICED * sigmas, parts
-    return Recheck(verdict, probabilities, kept, set_, found, sigmas, *shown, len(measurements), *against.values())
+    parts, shown = _detectable_parts(rows, hypotheses, left, known.errors.tolerances, generator), _NOTICED * sigmas
+    amounts = kept, set_, found, sigmas, shown, parts
+    return Recheck(verdict, probabilities, *amounts, len(measurements), *against.values())
 
 
 def _rows(known: Compensation, measurements: Measurements, conditions: Conditions, zeros: Array) -> _Rows:

@@ -316,8 +316,6 @@ def seen_datum_map(nuisances: Nuisances, machine: Array, poses: Poses, weights: 
         covariance: of the machine's parameters and the nuisances, shape=(k + nuisances, same).
     """
     shown, base_and_tool = nuisances.datum_map(), datum_motions(poses)
-    if not shown[6:].any():
-        return shown
     described = nuisances.datum_map(of_points=False)
 
     def square(datum: Array) -> float:
