@@ -157,14 +157,15 @@ def _accuracy(summary: Mapping[str, Any], kind: str, picture: Figure | None, tit
         if key in ACCURACIES and "rms_95_percent_interval" in entry:
             low, high = (1e6 * value for value in entry["rms_95_percent_interval"])
             units = ", ".join(f"µ{unit}" for unit in key.removeprefix("excess_joint_error_").split("_"))
-            interval = f"<p>For this machine, corrected minus best commands have a root mean square of {low:.1f} to "
+            interval = f"<p>For this machine, each command is off the best one by a root mean square of {low:.1f} to "
             interval += f"{high:.1f} {units} with a probability of 95 %, given the finite number of poses.</p>"
     return [
         heading,
         f"<p>{text} Tip errors are in µm, as measured, and all include noise. The floor remains with the best "
         "possible commands: with fewer drives than degrees of freedom of a pose, commands cannot correct everything. "
-        "Corrected minus best commands is the expected difference of each joint. E, the energy of the pose error, adds "
-        "position and weighted rotation instead of their squares; the best commands are best for the tip error.</p>",
+        "The last line is how far the corrected command of each drive is expected to be off the best one. E, the "
+        "energy of the pose error, adds position and weighted rotation instead of their squares; the best commands are "
+        "best for the tip error.</p>",
         html_table(
             (f"{summary['measurements']['error_seen']} [µm]", "mean", "95 %", "max"),
             [[name, *row] for name, row in accuracy_rows(errors).items()],

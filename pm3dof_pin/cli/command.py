@@ -11,10 +11,15 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from typer import BadParameter
 from typer.core import TyperCommand
 
 NUMBER_OF_VALUES = {"--range": 4, "--over": 4, "--at": 2, "--wrench": 6, "--twist": 6, "--centre": 3}
 """Number of values of each such option."""
+
+
+class _NotANumber(BadParameter):
+    """A word where a number was expected."""
 
 
 class _Words:
@@ -34,6 +39,8 @@ class _Words:
             return () if self._parameter.multiple or self._parameter.nargs == -1 else None
         try:
             return self._converted(value, self._type)
+        except _NotANumber:
+            raise
         except Exception:  # a parser's own errors too: Typer runs it again and words them
             self._parameter._runtime_param = None
             return type(self._parameter).get_runtime_param(self._parameter).coerce(value, **context)
@@ -48,7 +55,10 @@ class _Words:
         if get_origin(kind) is Literal and value in get_args(kind):
             return value
         if kind in (int, float):
-            number = kind(value)
+            try:
+                number = kind(value)
+            except ValueError:
+                raise _NotANumber(f"{value} is not a {'whole number' if kind is int else 'number'}") from None
             low, high = self._info.min, self._info.max
             if (low is None or number >= low) and (high is None or number <= high):
                 return number

@@ -30,6 +30,7 @@ from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfi
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.reference import assemble_at
 from pm3dof_pin.mechanism.closure_wrenches import held_directions
 from pm3dof_pin.mechanism.scratch_data import scratch_data
 from pm3dof_pin.programs.geometry import frame_names
@@ -212,8 +213,9 @@ def _keep_closable(errors: GeometricErrors, values: Vector, more: NDArray[np.int
     crooked = errors.apply(np.where(trial, values, 0.0))
     # one pose is enough: the others may be out of reach of such a machine
     shared = len(poses.robot.placing_drives) < len(poses.robot.commands)  # their commands agree only without errors
-    solve, values_there = (crooked.solve, poses.coordinates) if shared else (crooked.forward, poses.commands)
-    if solve(values_there, guess=poses.q, on_failure="nan", engine="pinocchio").solved.any():
+    there = crooked.coordinates if shared else crooked.command_coordinates
+    values_there = poses.coordinates if shared else poses.commands
+    if any(assemble_at(crooked, there, *pair).converged for pair in zip(values_there, poses.q, strict=True)):
         kept[:] = trial
     elif len(more) > 1:
         for half in np.array_split(more, 2):

@@ -486,11 +486,11 @@ class _Reader:
 
     def _check_positions(self, expected: Array, positions: Array) -> bool:
         """Refuse positions in millimetres, warn of those out of reach, and tell whether most are within it."""
-        size = max(float(np.median(np.linalg.norm(expected, axis=1))), 1e-3)
+        size = float(np.median(np.linalg.norm(expected, axis=1)))
         if np.median(np.linalg.norm(1e-3 * positions - expected, axis=1)) < _FAR_OFF * size:
             problem = "look like millimetres: a thousandth of them is where the machine is"
             self._refuse(f"{','.join(_POSITION)} {problem}")
-        distances = np.linalg.norm(positions - expected, axis=1)
+        distances, size = np.linalg.norm(positions - expected, axis=1), max(size, self._robot.characteristic_length)
         far = distances > _FAR_OFF * size
         if far.mean() > 0.5:
             self._table.warn(

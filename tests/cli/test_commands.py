@@ -278,6 +278,8 @@ def test_broken_limit_is_answered_named_and_fails(run: Run, command: str) -> Non
             "theta_y -40 .. 40 [deg], z_e 0.3972 .. 0.5775 [m], not 2 numbers",
         ),
         (["ik", "0", "0", "half"], 2, "half is not a number"),
+        (["measure", "--poses", "plan.csv"], 2, "'--poses': plan.csv is not a whole number"),
+        (["measure", "--load", "heavy"], 2, "'--load': heavy is not a number"),
         (["ik", "--jsn", "0", "0", "0.5"], 2, "--jsn is neither a number nor an option"),
         (["fk", "0.24", "inf", "0.24"], 2, "inf is not a finite number"),
         (["stiffness-map", "--height", "nan"], 2, "'--height': nan is not a finite number"),

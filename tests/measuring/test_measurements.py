@@ -106,6 +106,22 @@ def test_millimetres_are_suspected(
         read(scaled(lines, columns, 1e3), tripod_errors, tmp_path)
 
 
+def test_the_point_that_a_wrist_turns_about_is_not_in_millimetres(tmp_path: Path) -> None:
+    """The tool is where three axes meet: it stays there, and what is seen of it is the errors of the parts."""
+    turns = "".join(
+        f'<link name="l{k}"/><joint name="j{k}" type="revolute"><parent link="{parent}"/><child link="l{k}"/>'
+        f'<axis xyz="{axis}"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        for k, (parent, axis) in enumerate((("base", "1 0 0"), ("l0", "0 1 0"), ("l1", "0 0 1")))
+    )
+    (tmp_path / "wrist.urdf").write_text(f'<robot name="wrist"><link name="base"/>{turns}</robot>')
+    robot = Robot.load(tmp_path / "wrist.urdf", tool_frame="l2")
+    path = tmp_path / "file.csv"
+    path.write_text("u1_rad,u2_rad,u3_rad,x_m,y_m,z_m\n0.1,0.2,0.3,1e-4,2e-4,0\n-0.5,0.1,0.4,0,3e-4,1e-4\n")
+    found = read_measurements(path, robot)
+    np.testing.assert_array_equal(found.positions, [[1e-4, 2e-4, 0.0], [0.0, 3e-4, 1e-4]])
+    assert found.warnings == ()
+
+
 def test_degrees_are_suspected(four_bar: Path, tmp_path: Path) -> None:
     errors = GeometricErrors.load(four_bar)
     path = tmp_path / "file.csv"
