@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from pm3dof_pin.elastic.report import CartesianCompliance
 from pm3dof_pin.elastic.traced import Roots
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.programs.elimination import squared_singular_values, total, zeros
-from pm3dof_pin.programs.graph import is_zero, less, select, sqrt
+from pm3dof_pin.programs.graph import is_zero, less, maximum, select, sqrt
 from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Matrix, Objects, Vector
 
@@ -55,6 +56,18 @@ def _stiffness(roots: Roots) -> Objects:
 
 def _axis_compliance(roots: Roots) -> Objects:
     return np.array([total([entry * entry for entry in row]) for row in roots.compliance], dtype=object)
+
+
+def _axis_stiffness(roots: Roots) -> Objects:
+    """Return the same as :func:`~pm3dof_pin.elastic.indices.axis_stiffness`."""
+    compliances = _axis_compliance(roots)
+    stiffness = np.full(6, math.inf, dtype=object)
+    for kind in (slice(0, 3), slice(3, 6)):
+        rigid = reduce(maximum, compliances[kind]) * ROUNDING
+        stiffness[kind] = [
+            math.inf if is_zero(c) else select(less(rigid, c), 1.0 / c, math.inf) for c in compliances[kind]
+        ]
+    return stiffness
 
 
 def _principal(roots: Roots) -> Objects:
@@ -123,6 +136,11 @@ AXIS_COMPLIANCE = ElasticQuantity(
     "axis_compliance", (6,), _axis_compliance, lambda report: report.compliance.diagonal()
 )
 """Deflection along each axis under a unit force or moment along it, all else free [m/N, rad/(N m)]."""
+
+AXIS_STIFFNESS = ElasticQuantity(
+    "axis_stiffness", (6,), _axis_stiffness, lambda report: indices.axis_stiffness(report.compliance.diagonal())
+)
+"""Stiffness along and about each axis, all else free; infinite where it is rigid [N/m, N m/rad]."""
 
 PRINCIPAL_STIFFNESS = ElasticQuantity("principal_stiffness", (2, 3), _principal, _computed_principal)
 """Principal stiffnesses of the translations, then of the rotations, all else free, ascending [N/m], [N m/rad]."""

@@ -451,8 +451,8 @@ class Robot(PlacedMechanism):
             found = continuation.march(values, threads, keep_branch=keep)
         else:
             found = find(slice(None))
-        failed = np.flatnonzero(np.isnan(found.q[:, :1]).any(axis=-1))  # nq may be 0
-        if failed.size and on_failure == "raise":
+        if on_failure == "raise" and np.isnan(found.q[:, :1]).any():  # nq may be 0
+            failed = np.flatnonzero(np.isnan(found.q[:, 0]))
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
             if is_shared and np.isfinite(off := shared.differences(find(failed[:1]).q, rows[failed[:1]])[0]).all():
                 raise self._contradicting(rows[failed[0]], off, shared.worst(off), index)

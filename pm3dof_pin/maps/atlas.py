@@ -1,8 +1,8 @@
 """The atlas: quantities of any robot over a grid of its coordinates, in bounded memory, resumable.
 
-An atlas is computed in blocks of whole rows of its last dimensions. Every block is written to a Zarr store
-`<name>.parts` next to the result, and then a record of its checksums. A killed job resumes with the blocks that have no
-record or do not match it. When all blocks are there, the store becomes the result, with a checksum of everything in it.
+An atlas is computed in blocks of whole rows of its last dimensions. The chunks of every block are written to a folder
+`<name>.parts` next to the result, and then a record of their checksums. A killed job resumes with the blocks that have
+no record or do not match it. When all blocks are there, they become the result, with a checksum of everything in it.
 A block is computed from its own poses alone, so no byte of the result depends on the order or the process in which the
 blocks were computed. Only one run at a time works on an atlas.
 """
@@ -40,7 +40,7 @@ from pm3dof_pin.exceptions import (
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import limit_names
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.atlas_store import AtlasStore, Block, Variable, exclusive_run, require_intact
+from pm3dof_pin.maps.atlas_store import AtlasStore, Block, Record, Variable, exclusive_run, require_intact
 from pm3dof_pin.maps.datasets import BROKEN_LIMITS, dataset_attributes, flag_variable
 from pm3dof_pin.maps.quantities import select_quantities
 from pm3dof_pin.maps.quantity import NO_WRENCH, Evaluation, MappedRobot, Quantity
@@ -117,7 +117,7 @@ class Atlas:
 
     @property
     def parts(self) -> Path:
-        """The store of finished blocks until the atlas is complete."""
+        """The folder of finished blocks until the atlas is complete."""
         return self.store.parts
 
     @cached_property
@@ -253,9 +253,9 @@ def _compute(
             done += _poses_in(atlas, block)
             if progress:
                 progress(done, atlas.grid.size)
-        if not any((atlas.store.read(BROKEN_LIMITS, atlas.slices(block)) == 0).any() for block in atlas.blocks()):
+        if not any(map(atlas.store.has_pose_within_limits, atlas.blocks())):
             raise UnreachablePoseError(f"no pose of the atlas over {', '.join(atlas.grid.dims)} is within every limit")
-        return atlas.store.finish(map(atlas.slices, atlas.blocks()), threads)
+        return atlas.store.finish(atlas.blocks(), threads)
     except OSError as error:
         reason = error.strerror or str(error)
         if error.filename and error.errno == errno.ENOENT:
@@ -318,21 +318,21 @@ def _compute_block(atlas: Atlas, block: Block) -> Block:
     place = atlas.slices(block)
     poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", threads=1, branches=atlas.branches)
     size = math.prod(poses.shape)
-    chosen_indices = np.flatnonzero(poses.solved if atlas.keep_beyond_limits else poses.within_limits)
-    chosen = poses.reshape(size) if chosen_indices.size == size else poses.reshape(size)[chosen_indices]
+    kept = np.flatnonzero(poses.solved if atlas.keep_beyond_limits else poses.within_limits)
+    rows = kept if kept.size < size else slice(None)
+    chosen = poses.reshape(size)[rows]
     evaluation = Evaluation(atlas.mapped, chosen, threads=1)
-    for quantity in atlas.selected:
-        shape = quantity.shape_for(atlas.mapped)
-        if chosen_indices.size == size:
-            values = quantity.compute(evaluation)
-        else:
-            values = np.full((size, *shape), np.nan, dtype=atlas.store.dtype(quantity.name))
-            if chosen_indices.size:
-                with np.errstate(over="ignore"):  # numbers beyond single precision become infinite
-                    values[chosen_indices] = quantity.compute(evaluation)
-        atlas.store.write(quantity.name, place, values.reshape(*poses.shape, *shape))
-    atlas.store.write(BROKEN_LIMITS, place, poses.broken_limits)
-    atlas.store.seal(block)
+    *variables, flags = atlas.store.variables
+    checksums = {}
+    for quantity, variable in zip(atlas.selected, variables, strict=True):
+        own_shape = tuple(variable.own_dims.values())
+        values = np.full((size, *own_shape), variable.fill_value, dtype=variable.dtype)
+        if len(chosen):
+            with np.errstate(over="ignore"):  # numbers beyond single precision become infinite
+                values[rows] = quantity.compute(evaluation)
+        checksums[variable.name] = atlas.store.write(variable, block, values.reshape(*poses.shape, *own_shape))
+    checksums[flags.name] = atlas.store.write(flags, block, poses.broken_limits)
+    atlas.store.seal(block, Record(checksums, bool(poses.within_limits.any())))
     return block
 
 

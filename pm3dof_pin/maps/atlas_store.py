@@ -1,15 +1,15 @@
-"""The arrays of an atlas on disk: a Zarr store filled block by block, and the NetCDF file made from it.
+"""The chunks of an atlas on disk: files filled block by block, and the Zarr store or NetCDF file made of them.
 
-Nothing in the store is trusted. Next to the arrays, every finished block has a record of the checksums of its files;
-when a job resumes, metadata and coordinates are compared with the expected ones, and blocks with their records. A
-finished atlas carries one SHA-256 of everything: of its blocks, axes and attributes.
+A block is one chunk of each array, encoded when it is computed as the result holds it. Nothing that is found on disk is
+trusted: every finished block has a record of the checksums of its chunks, with which these are compared when a job
+resumes and before they become the result. A finished atlas carries one SHA-256 of everything: of its blocks, axes and
+attributes.
 """
 
 from __future__ import annotations
 
 import fcntl
 import hashlib
-import itertools
 import json
 import logging
 import math
@@ -19,16 +19,16 @@ import shutil
 import socket
 import time
 import zlib
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import DescriptionError, OutputError
 from pm3dof_pin.files import write_atomically
@@ -36,19 +36,15 @@ from pm3dof_pin.maps.datasets import BROKEN_LIMITS
 from pm3dof_pin.programs.processors import processors
 from pm3dof_pin.typing import Array
 
-if TYPE_CHECKING:
-    import zarr
-
 Block: TypeAlias = tuple[int, ...]
 """First index of a block along each dimension."""
-
-Place: TypeAlias = tuple[slice, ...]
 
 _RECORDS = "finished"
 _NO_CHECKSUM = "0" * 64  # in its place while the checksum is computed
 _ATTRIBUTE = re.compile(rb'"checksum": "([0-9a-f]{64})"')
 _TRAILER = b"\nsha256 "  # of a NetCDF file; its library ignores what follows the end of the data
 _DEFLATION = 1  # level of the fast deflater: 2 and 3 take longer for as many bytes
+_BLOSC: Any = {"cname": "lz4", "clevel": 9}  # best of those measured: 40 % of the time of zstd, 120 % of its bytes
 _log = logging.getLogger(__name__)
 
 
@@ -63,9 +59,16 @@ class Variable:
     attributes: Mapping[str, Any]
 
 
+class Record(NamedTuple):
+    """What is written down of a finished block."""
+
+    checksums: Mapping[str, int]  #: CRC-32 of its chunk in each array
+    within_limits: bool  #: whether it has a pose within every limit
+
+
 @dataclass(frozen=True, eq=False)
 class AtlasStore:
-    """The arrays of an atlas: first in a Zarr store `<name>.parts` next to the result, then in it, `.nc` or `.zarr`."""
+    """The chunks of an atlas: first in a folder `<name>.parts` next to the result, then in it, `.nc` or `.zarr`."""
 
     path: Path
     coordinates: Mapping[str, tuple[Array, Mapping[str, Any]]]  #: values and attributes of the grid's dimensions
@@ -75,7 +78,7 @@ class AtlasStore:
 
     @property
     def parts(self) -> Path:
-        """The store of finished blocks until the atlas is complete."""
+        """The folder of finished blocks until the atlas is complete."""
         return self.path.with_name(self.path.name + ".parts")
 
     @property
@@ -85,140 +88,118 @@ class AtlasStore:
 
     @cached_property
     def _specification(self) -> str:
-        text = json.dumps(self.attributes, sort_keys=True, default=str)
+        """Hash of all that decides the bytes of the chunks."""
+        text = json.dumps([self.attributes, self.path.suffix, self.block_shape], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def open(self) -> set[Block]:
-        """Make the store, or repair and continue an existing one; return the finished blocks.
+        """Make the folder, or continue with an existing one; return the finished blocks. All other files are removed.
 
         Raises:
             OutputError: the place of the result is taken, there is not enough space, or another atlas is unfinished.
         """
         self._require_place()
-        records = self._records()
-        if self.parts.is_dir() and not self._is_ours(records):
+        recorded = self._recorded_blocks()
+        if recorded and not self._is_ours(recorded):
             raise OutputError(self.path, f"{self.parts} is an unfinished atlas with other settings; remove it first")
-        if not records:
+        if not recorded:
             self.remove()
             self._require_room()
-        fresh = self.parts.with_name(self.parts.name + ".new")
-        shutil.rmtree(fresh, ignore_errors=True)
-        self._make(fresh)
-        if not self.parts.is_dir():
-            fresh.rename(self.parts)
-            return set()
-        self._repair(fresh)
+        self.parts.mkdir(exist_ok=True)
         with ThreadPoolExecutor() as pool:
-            sound = [block for block, intact in zip(records, pool.map(self._is_sound, records), strict=True) if intact]
-        if len(sound) < len(records):
-            _log.warning("%s: %d finished blocks are damaged; computed again", self.parts, len(records) - len(sound))
+            sound = [
+                block for block, intact in zip(recorded, pool.map(self._is_sound, recorded), strict=True) if intact
+            ]
+        if len(sound) < len(recorded):
+            _log.warning("%s: %d finished blocks are damaged; computed again", self.parts, len(recorded) - len(sound))
+        kept = {file for block in sound for file in (self._record_file(block), *self._chunk_files(block).values())}
+        for file in sorted(self.parts.rglob("*"), reverse=True):  # what is in a folder before the folder
+            if not file.is_dir():
+                if file not in kept:
+                    file.unlink()
+            elif not any(file.iterdir()):
+                file.rmdir()
         return set(sound)
 
-    def _records(self) -> list[Block]:
+    def _recorded_blocks(self) -> list[Block]:
         """Return the blocks that have a record."""
         names = [file.name for file in (self.parts / _RECORDS).glob("*")]
         return [tuple(map(int, name.split("."))) for name in sorted(names) if re.fullmatch(r"\d+(\.\d+)*", name)]
 
-    def _record(self, block: Block) -> Path:
+    def _record_file(self, block: Block) -> Path:
         return self.parts / _RECORDS / ".".join(map(str, block))
 
-    def _is_ours(self, records: list[Block]) -> bool:
-        """Tell whether the unfinished store belongs to this atlas; one without finished blocks may be replaced."""
-        stored = [self._record(block).read_bytes()[:64] for block in records]
-        return not stored or self._specification.encode() in stored
-
-    def _repair(self, fresh: Path) -> None:
-        """Restore everything except the blocks to the state of a new store, and remove what does not belong there."""
-        expected = {file.relative_to(fresh) for file in fresh.rglob("*") if file.is_file()}
-        arrays = tuple(f"{variable.name}/c/" for variable in self.variables)
-        for file in [*self.parts.rglob("*")]:
-            name = file.relative_to(self.parts)
-            chunk = str(name).startswith(arrays) and all(part.isdigit() for part in name.parts[2:])
-            if file.is_file() and name not in expected and not chunk and name.parts[0] != _RECORDS:
-                file.unlink()
-        repaired = []
-        for name in sorted(expected):
-            target = self.parts / name
-            if not target.is_file() or target.read_bytes() != (fresh / name).read_bytes():
-                repaired.append(str(name))
-                if target.is_dir():
-                    shutil.rmtree(target)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                (fresh / name).replace(target)
-        shutil.rmtree(fresh)
-        if repaired:
-            _log.warning("%s: %s damaged or missing; rewritten", self.parts, ", ".join(repaired))
+    def _is_ours(self, recorded: list[Block]) -> bool:
+        """Tell whether one of the blocks is of this atlas; records of the others may be damaged."""
+        return self._specification.encode() in [self._record_file(block).read_bytes()[:64] for block in recorded]
 
     def _is_sound(self, block: Block) -> bool:
-        """Tell whether the files of a block are those of its record."""
+        """Tell whether the chunks of a block are those of its record."""
         try:
-            return self._record(block).read_text() == self._checksums(block)
-        except (OSError, UnicodeDecodeError):
-            for variable in self.variables:
-                if self._chunk(variable, block).is_dir():
-                    shutil.rmtree(self._chunk(variable, block))
+            checksums = self._record(block).checksums
+            return all(zlib.crc32(file.read_bytes()) == checksums[n] for n, file in self._chunk_files(block).items())
+        except OSError:
             return False
 
-    def _checksums(self, block: Block) -> str:
-        """Return the record of a block: the specification, and CRC-32 of its file in each array; None without one."""
-        files = {variable.name: self._chunk(variable, block) for variable in self.variables}
-        sums = {name: zlib.crc32(file.read_bytes()) if file.exists() else None for name, file in files.items()}
-        return f"{self._specification} {json.dumps(sums)}"
+    def _record(self, block: Block) -> Record:
+        """Return the record of a block; OSError without a sound one of this atlas."""
+        text, _, checksum = self._record_file(block).read_bytes().rpartition(b" ")
+        if checksum != b"%d" % zlib.crc32(text) or text[:64] != self._specification.encode():
+            raise OSError(f"the record of the block at {block} is damaged")
+        return Record(*json.loads(text[64:]))
 
-    def _chunk(self, variable: Variable, block: Block) -> Path:
-        """Return the file of a block in an array."""
-        numbers = [str(first // size) for first, size in zip(block, self.block_shape, strict=True)]
-        return self.parts.joinpath(variable.name, "c", *numbers, *["0"] * len(variable.own_dims))
+    def _chunk_files(self, block: Block) -> dict[str, Path]:
+        """Return the file of a block in each array, by name: those of a Zarr store without folders of their own."""
+        place = [first // size for first, size in zip(block, self.block_shape, strict=True)]
+        keys = {v.name: ".".join(map(str, ("c", *place, *[0] * len(v.own_dims)))) for v in self.variables}
+        return {name: self.parts / name / key for name, key in keys.items()}
 
-    def seal(self, block: Block) -> None:
-        """Write the record of a block whose arrays have been written; from then on it counts as finished."""
-        self._record(block).parent.mkdir(exist_ok=True)
-        self._record(block).write_text(self._checksums(block))
+    def write(self, variable: Variable, block: Block, values: NDArray[Any]) -> int:
+        """Write the chunk of one array at one block, and return its CRC-32."""
+        chunk = np.asarray(values, dtype=variable.dtype, order="C")
+        shape = (*self.block_shape, *variable.own_dims.values())
+        if chunk.shape != shape:  # at the end of the grid
+            chunk = np.full(shape, variable.fill_value, dtype=variable.dtype)
+            chunk[tuple(map(slice, values.shape))] = values
+        data = _ENCODERS[self.path.suffix](chunk)
+        file = self._chunk_files(block)[variable.name]
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(data)
+        return zlib.crc32(data)
 
-    def dtype(self, name: str) -> np.dtype[Any]:
-        """Return the type of an array."""
-        return self._arrays[name].dtype
+    def seal(self, block: Block, record: Record) -> None:
+        """Write the record of a block whose chunks have been written; from then on it counts as finished."""
+        text = f"{self._specification} {json.dumps(record)}"
+        self._record_file(block).parent.mkdir(exist_ok=True)
+        self._record_file(block).write_text(f"{text} {zlib.crc32(text.encode())}")
 
-    def write(self, name: str, place: Place, values: Any) -> None:
-        """Write the values of one array at one block."""
-        array = self._arrays[name]
-        with np.errstate(over="ignore"):  # numbers beyond single precision become infinite
-            array[place] = np.asarray(values).astype(array.dtype, copy=False)
-
-    def read(self, name: str, place: Place) -> Any:
-        """Read the values of one array at one block; OSError if they differ from what was written."""
-        try:
-            return self._arrays[name][place]
-        except (ValueError, RuntimeError) as error:
-            raise OSError(f"a block of {name} was damaged after it was written ({error})") from error
-
-    @cached_property
-    def _arrays(self) -> dict[str, zarr.Array[Any]]:
-        import zarr
-
-        group = zarr.open_group(self.parts, mode="r+")
-        return {variable.name: cast("zarr.Array[Any]", group[variable.name]) for variable in self.variables}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}  # arrays are opened in each process
+    def has_pose_within_limits(self, block: Block) -> bool:
+        """Tell whether a finished block has a pose within every limit; OSError if its record is damaged."""
+        return self._record(block).within_limits
 
     def remove(self, *, unless_resumable: bool = False) -> None:
-        """Remove the unfinished store, on request only if no block is finished."""
-        if self.parts.is_dir() and not (unless_resumable and self._records()):
+        """Remove the unfinished atlas, on request only if no block is finished."""
+        if self.parts.is_dir() and not (unless_resumable and self._recorded_blocks()):
             shutil.rmtree(self.parts)
 
-    def finish(self, blocks: Iterable[Place], threads: int | None = None) -> Path:
-        """Make the result from the finished blocks and return its path; OSError for a full disk or a damaged block.
+    def finish(self, blocks: Iterable[Block], threads: int | None = None) -> Path:
+        """Make the result of the finished blocks and return its path; OSError for a full disk or a damaged block.
 
-        A NetCDF file is made on as many threads, by default on all processors.
+        The blocks are compared with their records on as many threads, by default on all processors.
         """
+        places = list(blocks)
+        with ThreadPoolExecutor(threads or processors()) as pool:
+            for block, sound in zip(places, pool.map(self._is_sound, places), strict=True):
+                if not sound:
+                    raise OSError(f"the block at {block} was damaged after it was written")
         if self.path.suffix == ".nc":
             try:
-                self._copy_to_netcdf(blocks, threads)
+                self._copy_to_netcdf(places)
             except OutputError as error:
                 raise OSError(error.reason) from error
             self.remove()
             return self.path
+        self._complete_zarr()
         shutil.rmtree(self.parts / _RECORDS)
         metadata = self.parts / "zarr.json"
         text = metadata.read_text()
@@ -249,11 +230,12 @@ class AtlasStore:
             reason = f"it needs up to {needed / 1e9:.4g} GB of disk space, {free / 1e9:.4g} GB are free"
             raise OutputError(self.path, reason)
 
-    def _make(self, path: Path) -> None:
+    def _complete_zarr(self) -> None:
+        """Write metadata and coordinates around the chunks."""
         import zarr
         from zarr.codecs import BloscCodec, Crc32cCodec
 
-        group = zarr.create_group(path, attributes={**self.attributes, "checksum": _NO_CHECKSUM})
+        group = zarr.create_group(self.parts, attributes={**self.attributes, "checksum": _NO_CHECKSUM})
         for name, (values, attributes) in self.coordinates.items():
             coordinate = group.create_array(
                 name,
@@ -273,14 +255,14 @@ class AtlasStore:
                 dtype=variable.dtype,
                 chunks=self.block_shape + own_shape,
                 fill_value=variable.fill_value,
-                # best of those measured: 40 % of the time of zstd, 120 % of its bytes
-                compressors=[BloscCodec(cname="lz4", clevel=9, shuffle="shuffle"), Crc32cCodec()],
+                compressors=[BloscCodec(**_BLOSC, shuffle="shuffle"), Crc32cCodec()],
+                chunk_key_encoding={"name": "default", "separator": "."},  # making a folder takes as long as a file
                 dimension_names=[*self.coordinates, *variable.own_dims],
                 attributes={key: _plain(value) for key, value in variable.attributes.items()},
             )
 
-    def _copy_to_netcdf(self, blocks: Iterable[Place], threads: int | None) -> None:
-        """Copy the store block by block, in order: each is a chunk, deflated on one of the threads."""
+    def _copy_to_netcdf(self, blocks: Iterable[Block]) -> None:
+        """Copy the chunks in order; they are those of HDF5."""
         import h5py
         import netCDF4
 
@@ -289,35 +271,15 @@ class AtlasStore:
                 with netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
                     self._declare(file)
                 with h5py.File(temporary, "r+") as file:
-                    for name, first, chunk in self._deflated(blocks, threads or processors()):
-                        file[name].id.write_direct_chunk(first, chunk)
+                    for block in blocks:
+                        for variable, chunk in zip(self.variables, self._chunk_files(block).values(), strict=True):
+                            first = (*block, *[0] * len(variable.own_dims))
+                            file[variable.name].id.write_direct_chunk(first, chunk.read_bytes())
             except RuntimeError as error:  # raised by the libraries for a full disk
                 raise OSError(f"{error} while writing the NetCDF file: is the disk full?") from error
             with temporary.open("r+b") as data:
                 checksum = hashlib.file_digest(data, "sha256").hexdigest()
                 data.write(_TRAILER + checksum.encode())
-
-    def _deflated(self, blocks: Iterable[Place], threads: int) -> Iterator[tuple[str, Block, bytes]]:
-        """Yield the chunks of the NetCDF file in order, a few ahead at a time: array, first index and contents."""
-
-        def deflated(entry: Variable, place: Place) -> tuple[str, Block, bytes]:
-            from isal import isal_zlib
-
-            own_shape = tuple(entry.own_dims.values())
-            values = np.zeros(self.block_shape + own_shape, dtype=entry.dtype)  # whole, also at the end of the grid
-            values[tuple(slice(part.stop - part.start) for part in place)] = self.read(entry.name, place)
-            first = (*(part.start for part in place), *(0 for _ in own_shape))
-            shuffled = values.view(np.uint8).reshape(-1, entry.dtype.itemsize).T  # by significance, as HDF5 does
-            return entry.name, first, isal_zlib.compress(np.ascontiguousarray(shuffled), _DEFLATION)
-
-        ahead: deque[Future[tuple[str, Block, bytes]]] = deque()
-        with ThreadPoolExecutor(threads) as pool:
-            for place, entry in itertools.product(blocks, self.variables):
-                ahead.append(pool.submit(deflated, entry, place))
-                if len(ahead) > 2 * threads:
-                    yield ahead.popleft().result()
-            while ahead:
-                yield ahead.popleft().result()
 
     def _declare(self, file: Any) -> None:
         file.setncatts(dict(self.attributes))
@@ -340,6 +302,28 @@ class AtlasStore:
                 chunksizes=self.block_shape + tuple(entry.own_dims.values()),
                 fill_value=False,
             ).setncatts(dict(entry.attributes))
+
+
+def _deflated(chunk: NDArray[Any]) -> bytes:
+    """Return a chunk as HDF5 shuffles and deflates it."""
+    from isal import isal_zlib
+
+    shuffled = chunk.view(np.uint8).reshape(-1, chunk.itemsize).T  # by significance
+    data: bytes = isal_zlib.compress(np.ascontiguousarray(shuffled), _DEFLATION)
+    return data
+
+
+def _packed(chunk: NDArray[Any]) -> bytes:
+    """Return a chunk as Zarr encodes it by Blosc, with its CRC-32C."""
+    import google_crc32c
+    import numcodecs
+
+    data: bytes = numcodecs.Blosc(**_BLOSC, shuffle=numcodecs.Blosc.SHUFFLE).encode(chunk)
+    checksum: int = google_crc32c.value(data)
+    return data + checksum.to_bytes(4, "little")
+
+
+_ENCODERS: Mapping[str, Callable[[NDArray[Any]], bytes]] = {".nc": _deflated, ".zarr": _packed}
 
 
 def require_intact(path: Path) -> None:
@@ -373,7 +357,7 @@ def _checksum_of_zarr(folder: Path, metadata: bytes) -> str:
     """Return the SHA-256 of the names and contents of all files of a store, with the given metadata of the group."""
     files = [file for file in folder.rglob("*") if file.is_file() and file.parent != folder]
     names = {"/".join(file.relative_to(folder).parts): file for file in files}
-    kept = sorted(name for name in names if name.endswith("/zarr.json") or "/c/" in name)
+    kept = sorted(name for name in names if re.search(r"/(zarr\.json$|c[./])", name))
     with ThreadPoolExecutor() as pool:
         digests = pool.map(lambda name: hashlib.sha256(names[name].read_bytes()).hexdigest(), kept)
         listed = "\n".join(f"{name} {digest}" for name, digest in zip(kept, digests, strict=True))

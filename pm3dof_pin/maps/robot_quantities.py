@@ -9,9 +9,8 @@ import numpy as np
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natural_frequencies
-from pm3dof_pin.elastic.indices import axis_stiffness
 from pm3dof_pin.elastic.quantities import (
-    AXIS_COMPLIANCE,
+    AXIS_STIFFNESS,
     COMPLIANCE,
     CONDITIONING,
     PRINCIPAL_STIFFNESS,
@@ -132,7 +131,7 @@ ROBOT_QUANTITIES = (
     Quantity("compliance", *_COMPLIANCE),
     Quantity(
         "felt_stiffness",
-        lambda evaluation: axis_stiffness(evaluation.elastic(AXIS_COMPLIANCE)),
+        _part_of(AXIS_STIFFNESS),
         "N/m (x, y, z), N m/rad (rx, ry, rz)",
         "felt stiffness, all other motions free",
         (_AXIS,),

@@ -4,8 +4,8 @@
     python scripts/benchmarks/atlas.py --workers 1 2 4 [--most 200]
 
 With `--workers`: one atlas of the tripod by so many threads, and by as many workers of a dask cluster on this machine,
-each a process with one thread. Blocks are what workers share; what remains is done once, by whoever asks: the axes
-before, and the assembly of the finished file.
+each a process with one thread. Blocks are what workers share; what remains is done once, by whoever asks: their checks
+and the assembly of the finished file.
 """
 
 from __future__ import annotations

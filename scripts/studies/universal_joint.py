@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 import pm3dof_pin as pm
 from pm3dof_pin.elastic.batch import evaluate
-from pm3dof_pin.elastic.indices import axis_stiffness
-from pm3dof_pin.elastic.quantities import AXIS_COMPLIANCE
+from pm3dof_pin.elastic.quantities import AXIS_STIFFNESS
 from pm3dof_pin.export.description import temporary_description
 from pm3dof_pin.figures.labels import entry_words
 from pm3dof_pin.figures.style import FORMATS, INK, TWO_COLUMNS, house_style, new_figure, save_pictures
@@ -59,7 +58,7 @@ def universal_joint_figure(robots: Mapping[str, Robot], height: float) -> Figure
             poses = robot.solve(robot.grid(theta_y=(TILTS[0], TILTS[-1], len(TILTS)), z_e=height), on_failure="nan")
             inside = poses.within_limits
             felt = np.full((len(TILTS), 6), np.nan)
-            felt[inside] = axis_stiffness(evaluate(robot, poses[inside], AXIS_COMPLIANCE).values)
+            felt[inside] = evaluate(robot, poses[inside], AXIS_STIFFNESS).values
             for panel, (axis, (name, size, unit)) in zip(panels, AXES.items(), strict=True):
                 panel.plot(np.degrees(TILTS), felt[:, axis] / size, color=color)
                 panel.set_title(f"felt {entry_words(name)} [{unit}]")

@@ -18,6 +18,7 @@ from pm3dof_pin.elastic.loaded import loaded_equilibrium
 from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.elastic.quantities import (
     AXIS_COMPLIANCE,
+    AXIS_STIFFNESS,
     COMPLIANCE,
     CONDITIONING,
     PRINCIPAL_STIFFNESS,
@@ -85,11 +86,14 @@ def test_a_tool_on_the_axes_of_a_pan_tilt_is_rigid_but_for_two_rotations(
         tool_frame="tilt",
     )
     springs = [JointSpring(f"{n}_spring", f"{n}_joint", k, "N m/rad") for n, k in (("pan", 1e3), ("tilt", 2e3))]
-    found = evaluate(
-        ElasticModel(robot, springs), np.array([[0.0, 0.0], [0.3, -0.4]]), PRINCIPAL_STIFFNESS, engine=engine
-    )
+    model, q = ElasticModel(robot, springs), np.array([[0.0, 0.0], [0.3, -0.4]])
+    found = evaluate(model, q, PRINCIPAL_STIFFNESS, engine=engine)
     np.testing.assert_array_equal(found.values[:, 0], np.inf)
     np.testing.assert_allclose(found.values[:, 1], [[1e3, 2e3, np.inf]] * 2, rtol=1e-12)
+    # the tilt's axis is (-sin pan, cos pan, 0), and springs in series add their compliances along x and y
+    s, c = np.sin(0.3), np.cos(0.3)
+    felt = [[np.inf] * 4 + [2e3, 1e3], [np.inf] * 3 + [2e3 / s**2, 2e3 / c**2, 1e3]]
+    np.testing.assert_allclose(evaluate(model, q, AXIS_STIFFNESS, engine=engine).values, felt, rtol=1e-12)
 
 
 @pytest.mark.parametrize("engine", ["program", "pinocchio"])
@@ -132,6 +136,8 @@ def test_reductions(name: str) -> None:
     matrices = compliance(model, poses, engine="pinocchio")
     given = evaluate(model, poses, AXIS_COMPLIANCE).values
     np.testing.assert_allclose(given, np.einsum("nii->ni", matrices), rtol=1e-11)
+    felt = evaluate(model, poses, AXIS_STIFFNESS).values
+    np.testing.assert_allclose(felt, indices.axis_stiffness(np.einsum("nii->ni", matrices)), rtol=1e-11)
     principal = evaluate(model, poses, PRINCIPAL_STIFFNESS).values
     for k, motion in enumerate(("translation", "rotation")):
         expected = indices.principal_axes(indices.condensed_stiffness(matrices, motion)).values  # type: ignore[arg-type]

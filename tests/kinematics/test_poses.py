@@ -184,3 +184,13 @@ def test_coordinates_given_where_positions_belong_are_named(mechanism: Robot) ->
         InvalidValueError, match=r"12\), joint positions q; solve values of theta_x, theta_y, z_e first"
     ):
         compliance(mechanism, [0.1, -0.2, 0.5])
+
+
+def test_rows_are_taken_by_their_numbers(mechanism: Robot) -> None:
+    poses = mechanism.solve(mechanism.grid(theta_x=(-0.2, 1.0, 5), theta_y=(-0.1, 0.1, 3), z_e=0.5))
+    some = poses[np.array([3, 0, -1])]
+    np.testing.assert_array_equal(some.q, poses.q[[3, 0, -1]])
+    np.testing.assert_array_equal(some.broken_limits, poses.broken_limits[[3, 0, -1]])
+    assert some.shape == (3, 3)
+    with pytest.raises(IndexError):
+        poses[np.array([5])]

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -22,7 +23,7 @@ from pm3dof_pin.exceptions import DescriptionError, OutputError, PM3DofError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps import atlas as atlas_module
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
-from pm3dof_pin.maps.atlas_store import AtlasStore
+from pm3dof_pin.maps.atlas_store import AtlasStore, Record
 
 QUANTITIES = ("felt_stiffness", "condition_number")
 
@@ -60,12 +61,16 @@ def flip(file: Path, where: int = -9) -> None:
     file.write_bytes(data)
 
 
+def chunks(parts: Path) -> list[Path]:
+    return sorted((parts / "felt_stiffness").glob("c.*"))
+
+
 def a_chunk(parts: Path) -> Path:
-    return sorted(entry for entry in (parts / "felt_stiffness" / "c").rglob("*") if entry.is_file())[1]
+    return chunks(parts)[1]
 
 
 def swap(parts: Path) -> None:
-    one, other = sorted(entry for entry in (parts / "felt_stiffness" / "c").rglob("*") if entry.is_file())[:2]
+    one, other = chunks(parts)[:2]
     first = one.read_bytes()
     one.write_bytes(other.read_bytes())
     other.write_bytes(first)
@@ -89,18 +94,28 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "two blocks exchanged": swap,
     "a folder where a block was": folder_in_place,
     "an array that is gone": lambda parts: shutil.rmtree(parts / "condition_number"),
-    "an array's metadata cut short": lambda parts: (parts / "felt_stiffness" / "zarr.json").write_text('{"shape": [4'),
-    "the group's metadata cut short": lambda parts: (parts / "zarr.json").write_text("{"),
-    "other settings in the group's metadata": lambda parts: flip(parts / "zarr.json", 60),
-    "a changed coordinate": lambda parts: flip(parts / "x" / "c" / "0"),
-    "a coordinate that is gone": lambda parts: shutil.rmtree(parts / "y"),
     "a flipped bit in a record": lambda parts: flip(a_record(parts), -5),
     "a torn record": lambda parts: a_record(parts).write_bytes(a_record(parts).read_bytes()[:-20]),
     "an empty record": lambda parts: a_record(parts).write_bytes(b""),
     "a record of another atlas": lambda parts: flip(a_record(parts), 3),
-    "a file that does not belong there": lambda parts: (parts / "felt_stiffness" / "c" / "0" / "x.partial").write_text(
-        ""
+    "another flag in a record": lambda parts: a_record(parts).write_bytes(
+        a_record(parts).read_bytes().replace(b"true", b"false")
     ),
+}
+
+
+def leave_metadata(parts: Path) -> None:
+    """As of a run that was killed while it made the result."""
+    (parts / "zarr.json").write_text("{")
+    (parts / "felt_stiffness" / "zarr.json").write_text('{"shape": [4')
+    (parts / "x").mkdir()
+    (parts / "x" / "c.0").write_bytes(b"coordinates")
+
+
+LEFTOVERS: dict[str, Callable[[Path], object]] = {
+    "metadata": leave_metadata,
+    "a chunk without a record": lambda parts: (parts / "felt_stiffness" / "c.9.0.0").write_bytes(b"chunk"),
+    "a folder": lambda parts: (parts / "felt_stiffness" / "c" / "0").mkdir(parents=True),
 }
 
 
@@ -112,15 +127,36 @@ def test_damage_is_noticed_and_repaired_to_the_byte(
     job = make(robot, tmp_path / "broken" / f"atlas{suffix}")
     interrupted(monkeypatch, job)
     shutil.copytree(job.parts, tmp_path / "sound")
-    for name, damage in DAMAGES.items() if suffix == ".zarr" else [*DAMAGES.items()][::4]:
+    for name, damage in {**DAMAGES, **LEFTOVERS}.items() if suffix == ".zarr" else [*DAMAGES.items()][::4]:
         shutil.rmtree(tmp_path / "broken")
         shutil.copytree(tmp_path / "sound", job.parts)
         caplog.clear()
         damage(job.parts)
         path = compute_atlas(make(robot, job.path))
         assert digest(path) == whole, name
-        assert bool(caplog.text) == (name != "a file that does not belong there"), name
+        assert bool(caplog.text) == (name in DAMAGES), name
         assert {entry.name for entry in path.parent.iterdir()} == {path.name}, name
+
+
+def test_blocks_of_another_size_are_another_atlas(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupted(monkeypatch, make(robot, tmp_path / "atlas.nc"))
+    monkeypatch.setattr(atlas_module, "_BLOCK_POSES", 30)
+    with pytest.raises(OutputError, match="unfinished atlas with other settings"):
+        compute_atlas(make(robot, tmp_path / "atlas.nc"))
+
+
+def test_the_chunks_of_a_netcdf_file_are_those_of_the_blocks(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = make(robot, tmp_path / "atlas.nc")
+    interrupted(monkeypatch, job)
+    written = [chunk.read_bytes() for chunk in chunks(job.parts)]
+    with h5py.File(compute_atlas(job)) as file:
+        array = file["felt_stiffness"].id
+        places = sorted(array.get_chunk_info(k).chunk_offset for k in range(array.get_num_chunks()))
+        assert [array.read_direct_chunk(place)[1] for place in places] == written
 
 
 def test_sound_blocks_are_not_computed_again(
@@ -137,11 +173,12 @@ def test_sound_blocks_are_not_computed_again(
     assert "1 finished blocks are damaged; computed again" in caplog.text
 
 
+@pytest.mark.parametrize("suffix", [".zarr", ".nc"])
 def test_a_block_damaged_before_the_result_is_made(
-    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
 ) -> None:
-    whole = digest(compute_atlas(make(robot, tmp_path / "whole" / "atlas.nc")))
-    job = make(robot, tmp_path / "broken" / "atlas.nc")
+    whole = digest(compute_atlas(make(robot, tmp_path / "whole" / f"atlas{suffix}")))
+    job = make(robot, tmp_path / "broken" / f"atlas{suffix}")
     finish = AtlasStore.finish
 
     def late_damage(store: AtlasStore, *arguments: Any) -> Path:
@@ -150,9 +187,8 @@ def test_a_block_damaged_before_the_result_is_made(
 
     with monkeypatch.context() as patch:
         patch.setattr(AtlasStore, "finish", late_damage)
-        with pytest.raises(
-            OutputError, match=r"felt_stiffness was damaged after it was written.*run the same command again"
-        ):
+        expected = r"the block at \(2, 0\) was damaged after it was written.*run the same command again"
+        with pytest.raises(OutputError, match=expected):
             compute_atlas(job)
     assert digest(compute_atlas(make(robot, job.path))) == whole
 
@@ -169,20 +205,20 @@ def test_a_full_disk_is_one_line_and_loses_nothing(
             count = []
             write = AtlasStore.write
 
-            def write_until_full(store: AtlasStore, *arguments: object) -> None:
+            def write_until_full(store: AtlasStore, *arguments: Any) -> int:
                 count.append(1)
                 if len(count) > 7:
                     raise full
-                write(store, *arguments)  # type: ignore[arg-type]
+                return write(store, *arguments)
 
             patch.setattr(AtlasStore, "write", write_until_full)
         elif moment == "record":
             seal = AtlasStore.seal
 
-            def seal_until_full(store: AtlasStore, block: tuple[int, ...]) -> None:
+            def seal_until_full(store: AtlasStore, block: tuple[int, ...], record: Record) -> None:
                 if block[0]:
                     raise full
-                seal(store, block)
+                seal(store, block, record)
 
             patch.setattr(AtlasStore, "seal", seal_until_full)
         else:
