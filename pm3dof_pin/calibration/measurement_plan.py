@@ -32,8 +32,9 @@ from pm3dof_pin.calibration.rehearsal import Rehearsal
 from pm3dof_pin.calibration.sag import sag_in_words
 from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing
 from pm3dof_pin.errors.command_correction import command_jacobians
-from pm3dof_pin.errors.error_map import error_map
+from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
@@ -218,12 +219,12 @@ def plan_measurements(
     choices = _declared(choices) if among is None else choices
     spacing = Spacing(choices, min_distance, touching=instrument.stops)
     spacing.draw(np.arange(len(choices)), poses or 1, np.random.default_rng(seed))  # before work
-    near_singular, sizes = 0, np.zeros(len(choices))
+    found, near_singular, sizes = sensitivities(errors, choices), 0, np.zeros(len(choices))
     if among is None:
-        sizes = _sensitivities(errors, choices)
+        sizes = _sizes(error_map(errors, choices, found=found))
         regular = sizes <= SINGULAR
         near_singular = int((~regular).sum())
-        choices, sizes = choices[regular], sizes[regular]
+        choices, sizes, found = choices[regular], sizes[regular], found[regular]
     whole = instrument.measured == "pose" and not (instrument.targets or instrument.encoders or instrument.tilts_only)
     if not whole and (accuracy is not None or method != "lm"):
         raise InvalidValueError("method", method, "lm, without an accuracy, for instruments that do not see full poses")
@@ -241,6 +242,7 @@ def plan_measurements(
             prior=prior,
             wrenches=wrenches,
             sources=ErrorSources(errors),
+            found=found,
         )
         tried = _rehearsed(problem, chosen, method, poses, accuracy, seed) if whole else {}
         count = max(tried, default=poses or DEFAULT_POSES)
@@ -263,7 +265,8 @@ def plan_measurements(
             tighter = kept & (sizes < max(_USUAL, float(sizes[plan.indices[open_]].min())))
             kept = tighter if among is None and tighter.sum() > _FEWEST * len(kept) else kept
         dropped += int((~kept).sum())
-        choices, sizes, wrenches = choices[kept], sizes[kept], None if wrenches is None else wrenches[kept]
+        choices, sizes, found = choices[kept], sizes[kept], found[kept]
+        wrenches = None if wrenches is None else wrenches[kept]
     _require_sight(plan.poses, instrument)
     _require_places(problem, plan)
     order = np.arange(count) if references is None else order_with_references(plan.poses, references, seed)
@@ -282,9 +285,9 @@ def _declared(poses: Poses) -> Poses:
     return poses[within] if within.any() else poses
 
 
-def _sensitivities(errors: GeometricErrors, poses: Poses) -> Array:
+def _sizes(effects: ErrorMap) -> Array:
     """Return how far errors of the parts move the tool at each pose, relative to the median, shape=(n,)."""
-    sizes = np.linalg.norm(error_map(errors, poses).weighted * errors.tolerances, axis=(1, 2))
+    sizes = np.linalg.norm(effects.weighted * effects.errors.tolerances, axis=(1, 2))
     return np.asarray(sizes / np.median(sizes))
 
 

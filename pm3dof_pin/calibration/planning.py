@@ -40,6 +40,7 @@ from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.sensitivity import Sensitivities
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
@@ -136,6 +137,7 @@ class PlanningProblem:
         wrenches: known wrenches on the tool at each candidate, world axes, shape=(candidates, 6) [N, N m]; with them,
             the stiffness of the springs is unknown too, and the predicted tip error is that under such wrenches.
         sources: all sources of error, which determine where the machine is least sensitive; by default its geometry.
+        found: the sensitivities at the candidates, if they are known already.
 
     Attributes:
         prior: see the argument.
@@ -164,6 +166,7 @@ class PlanningProblem:
         prior: float = PRIOR,
         wrenches: Array | None = None,
         sources: ErrorSources | None = None,
+        found: Sensitivities | None = None,
     ) -> None:
         require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
         require_kind("candidates", candidates, Poses, "Robot.solve")
@@ -173,7 +176,7 @@ class PlanningProblem:
         self.instrument = instrument or Instrument()
         elastic = ElasticTerm.under(errors.robot, wrenches)
         self.unknowns, self.tolerances = elastic.with_parameters(errors)
-        candidate_map = error_map(errors, candidates, eta=eta)
+        candidate_map = error_map(errors, candidates, eta=eta, found=found)
         self.regressor, self.nuisance_regressor, self.nuisances = stacked_regressor(
             errors, candidates, self.instrument, elastic, candidate_map.sensitivities
         )
@@ -204,8 +207,9 @@ class PlanningProblem:
         """Mask of the candidates in the region least sensitive to errors, shape=(candidates,)."""
         if self._sources is None:
             return self.measured.map.least_sensitive()
-        budget = error_budget(self._sources, self.candidates, eta=self.measured.map.eta)
-        return budget.least_sensitive()
+        measured = self.measured.map
+        found = measured.sensitivities if self._sources.errors is self.errors else None
+        return error_budget(self._sources, self.candidates, eta=measured.eta, found=found).least_sensitive()
 
     def plan(self, count: int, strategy: Strategy, generator: np.random.Generator, *, restarts: int = 10) -> Plan:
         """Choose poses.
@@ -310,32 +314,38 @@ class PlanningProblem:
         return np.array(chosen, dtype=np.intp)
 
     def _least_process_variance(self, count: int) -> Indices:
-        """Repeatedly take the candidate that most reduces a Gaussian process's variance over the test poses."""
+        """Repeatedly take the candidate that most reduces a Gaussian process's variance over the test poses.
+
+        With the Cholesky factor L of the poses taken, the covariance of candidates and tests is K - L S, of which only
+        the sums of squares of its rows are followed.
+        """
         drives = range(self.candidates.commands.shape[1])
         inputs, tests = (poses.inputs[:, : len(drives)] for poses in (self.measured, self.tested))
         across = [GaussianProcess.typical_covariance(inputs, tests, drive) for drive in drives]
+        squares = [np.einsum("nt,nt->n", covariance, covariance) for covariance in across]
         own = [GaussianProcess.typical_variance(inputs) for _ in drives]
-        seen: list[list[Array]] = [[] for _ in drives]  # rows of the Cholesky factor, over the candidates
+        most = min(count, len(inputs))
+        seen = np.zeros((len(drives), most, len(inputs)))  # L^T of each drive, over the candidates
+        steps = np.zeros((len(drives), most, len(tests)))  # S
         chosen: list[int] = []
         taken = np.zeros(len(self.candidates), dtype=bool)
-        while len(chosen) < count:
-            gains = sum(
-                np.einsum("nt,nt->n", covariance, covariance) / (variance + _PROCESS_NOISE**2)
-                for covariance, variance in zip(across, own, strict=True)
-            )
+        while (number := len(chosen)) < count:
+            gains = sum(square / (variance + _PROCESS_NOISE**2) for square, variance in zip(squares, own, strict=True))
             best = int(np.argmax(np.where(taken, -np.inf, gains)))
             if taken[best]:
                 self._spacing.require([best, best])
             chosen.append(best)
             taken |= self._spacing.near(best)
             for drive in drives:
+                before, stepped = seen[drive, :number], steps[drive, :number]
                 column = GaussianProcess.typical_covariance(inputs, inputs[best][None], drive)[:, 0]
-                column -= sum((row * row[best] for row in seen[drive]), np.zeros(len(column)))
                 scale = np.sqrt(own[drive][best] + _PROCESS_NOISE**2)
-                row, step = column / scale, across[drive][best] / scale
-                across[drive] -= np.outer(row, step)
+                row = (column - before[:, best] @ before) / scale
+                step = (across[drive][best] - before[:, best] @ stepped) / scale
+                along = across[drive] @ step - (stepped @ step) @ before
+                squares[drive] += row * (row * (step @ step) - 2.0 * along)
                 own[drive] = own[drive] - row**2
-                seen[drive].append(row)
+                seen[drive, number], steps[drive, number] = row, step
         return np.array(chosen, dtype=np.intp)
 
     def _optimal(self, count: int, generator: np.random.Generator, restarts: int, *criteria: Criterion) -> Indices:

@@ -19,7 +19,7 @@ from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array
 
-_TRIED = 0.01  # motion of a drive [characteristic lengths, rad]
+_TRIED = 0.01  # motion of a coordinate [characteristic lengths, rad]
 
 ConditionWords: TypeAlias = Annotated[
     list[str] | None,
@@ -39,14 +39,16 @@ def require_calibration_of(asked: Robot, machine: Robot, calibration: Path) -> N
 
 
 def _moves_alike(one: Robot, other: Robot) -> bool:
-    """Tell whether two robots have the same drives, and the same tool positions at commands around home."""
+    """Tell whether two robots have the same drives, and the same tool poses at commands around home."""
     drives = [[(command.name, command.unit) for command in robot.commands] for robot in (one, other)]
     if drives[0] != drives[1] or not np.allclose(one.home.commands, other.home.commands, rtol=0.0, atol=SAME):
         return False
-    steps = _TRIED * coordinate_scales(other, other.command_coordinates)
-    commands = other.home.commands + np.vstack([np.zeros(len(steps)), np.diag(steps)])
-    places = [robot.forward(commands, on_failure="nan", engine="pinocchio").transforms for robot in (one, other)]
-    return bool(np.allclose(places[0], places[1], rtol=0.0, atol=SAME, equal_nan=True))
+    # commands that agree: with more drives than degrees of freedom none can move alone
+    home = one.at(one.home.q).coordinates
+    steps = _TRIED * np.diag(coordinate_scales(one, one.coordinates))
+    poses = one.solve(np.vstack([home, home + steps]), on_failure="nan", engine="pinocchio")
+    places = other.forward(poses.commands, on_failure="nan", engine="pinocchio").transforms
+    return bool(np.allclose(poses.transforms, places, rtol=0.0, atol=SAME, equal_nan=True))
 
 
 def conditions_of(words: Sequence[str]) -> dict[str, float]:

@@ -16,6 +16,7 @@ import numpy as np
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.sensitivity import Sensitivities
 from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
 from pm3dof_pin.errors.tool_errors import ToolErrors
 from pm3dof_pin.exceptions import InvalidValueError
@@ -123,7 +124,12 @@ class ErrorBudget(ToolErrors):
 
 
 def error_budget(
-    sources: ErrorSources, poses: Poses, *, eta: float = TIP_LENGTH, names: Sequence[str] = ()
+    sources: ErrorSources,
+    poses: Poses,
+    *,
+    eta: float = TIP_LENGTH,
+    names: Sequence[str] = (),
+    found: Sensitivities | None = None,
 ) -> ErrorBudget:
     """Compute the effect of every source of error on the tool at given poses.
 
@@ -143,6 +149,7 @@ def error_budget(
         poses: poses of the robot as described, of shape (n,).
         eta: weight of the orientation in the tip error [m/rad].
         names: sources or classes to include; all if empty.
+        found: the sensitivities to the sources' geometric errors at these poses, if they are known already.
 
     Raises:
         InvalidValueError: there are no poses, no such source, or the loops cannot close with a geometric error.
@@ -153,8 +160,8 @@ def error_budget(
     if not len(poses):
         raise InvalidValueError("error budget", problem="has no poses", expected="at least one")
     by_class = names and all(name in CLASSES for name in names)
-    found = sources.at(poses, [known for known in CLASSES if known in names] if by_class else CLASSES)
-    budget = ErrorBudget(poses, found, command_jacobians(poses), eta)
+    effects = sources.at(poses, [known for known in CLASSES if known in names] if by_class else CLASSES, found)
+    budget = ErrorBudget(poses, effects, command_jacobians(poses) if found is None else found.commands, eta)
     return budget.select(names) if names else budget
 
 

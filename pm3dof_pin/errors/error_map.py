@@ -149,6 +149,7 @@ def error_map(
     *,
     eta: float = TIP_LENGTH,
     distribution: Distribution = "normal",
+    found: Sensitivities | None = None,
 ) -> ErrorMap:
     """Compute the tool errors caused by tolerances of the parts.
 
@@ -167,6 +168,7 @@ def error_map(
         poses: poses of the robot as described.
         eta: weight of the orientation in the tip error [m/rad].
         distribution: meaning of the tolerances: standard deviations ("normal") or half widths of uniform distributions.
+        found: the sensitivities at these poses, if they are known already.
 
     Raises:
         InvalidValueError: there are no poses or no parameters, or the loops cannot close with an error.
@@ -179,7 +181,7 @@ def error_map(
             "error map", problem=f"has {len(poses)} poses and {len(errors)} parameters", expected="at least one of each"
         )
     sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / HALF_WIDTH
-    found = sensitivities(errors, poses)
+    found = sensitivities(errors, poses) if found is None else found
     return ErrorMap(errors, poses, found, frozen(np.array(sigmas)), eta, distribution)
 
 

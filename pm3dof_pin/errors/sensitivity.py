@@ -56,6 +56,10 @@ class Sensitivities:
     errors: Array  #: by the error parameters at fixed commands, shape=(n, 6, number of parameters) [1, m/rad; rad/m, 1]
     commands: Array  #: by the commands, shape=(n, 6, number of commands)
 
+    def __getitem__(self, chosen: Mask) -> Sensitivities:
+        """Return those at some of the poses."""
+        return Sensitivities(frozen(self.errors[chosen]), frozen(self.commands[chosen]))
+
 
 def sensitivities(
     errors: GeometricErrors,

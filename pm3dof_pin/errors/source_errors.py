@@ -34,7 +34,7 @@ from pm3dof_pin.errors.error_parameters import (
 )
 from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.pose_error import pose_difference
-from pm3dof_pin.errors.sensitivity import closable, sensitivities
+from pm3dof_pin.errors.sensitivity import Sensitivities, closable, sensitivities
 from pm3dof_pin.errors.thermal_growth import Bending, ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.exceptions import PM3DofError, UnreachablePoseError
@@ -156,11 +156,13 @@ class ErrorSources:
             spectra=self.numbers.vibration, payloads={tool: payload} if payload and tool is not None else None
         )
 
-    def at(self, poses: Poses, classes: Collection[ErrorClass] = CLASSES) -> tuple[SourceErrors, ...]:
+    def at(
+        self, poses: Poses, classes: Collection[ErrorClass] = CLASSES, found: Sensitivities | None = None
+    ) -> tuple[SourceErrors, ...]:
         """Return the effects of the sources, or of some classes, at poses of the robot as described, of shape (n,).
 
         Sources that a robot cannot have are left out: those of springs without springs, of screws without linear
-        drives.
+        drives. `found` are the sensitivities to the geometric errors at these poses, if they are known already.
 
         Raises:
             InvalidValueError: the loops cannot close with a geometric error.
@@ -168,7 +170,7 @@ class ErrorSources:
                 rest.
             ConvergenceError: no equilibrium was found, for large deflections.
         """
-        at_poses = _SourcesAtPoses(self, poses)
+        at_poses = _SourcesAtPoses(self, poses, found)
         return tuple(source for error_class in CLASSES if error_class in classes for source in at_poses.of(error_class))
 
     @cached_property
@@ -214,8 +216,8 @@ class ErrorSources:
 class _SourcesAtPoses:
     """The sources of one robot at some poses; shared quantities are computed once."""
 
-    def __init__(self, sources: ErrorSources, poses: Poses) -> None:
-        self._sources, self._poses = sources, poses
+    def __init__(self, sources: ErrorSources, poses: Poses, found: Sensitivities | None) -> None:
+        self._sources, self._poses, self._found = sources, poses, found
         self._robot, self._numbers = sources.robot, sources.numbers
         self._scales = command_scales(poses)
         self._moved = sensitivities(sources.others, poses)
@@ -260,7 +262,8 @@ class _SourcesAtPoses:
     def _kinematic(self) -> Iterator[SourceErrors]:
         errors, factor = self._sources.errors, self._sources.geometry_factor
         if len(errors):
-            effects = sensitivities(errors, self._poses).errors * errors.tolerances / factor
+            found = sensitivities(errors, self._poses) if self._found is None else self._found
+            effects = found.errors * errors.tolerances / factor
             for group in errors.groups:
                 words = f"manufacturing and assembly: {group.replace('_', ' ')}"
                 yield self._source(f"geometry_{group}", words, effects[:, :, errors.indices(group)], greatest=factor)

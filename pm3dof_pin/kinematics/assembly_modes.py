@@ -26,6 +26,8 @@ from pm3dof_pin.typing import Matrix, Vector
 
 _AT_ONCE = 1024  # starts, by programs
 _AT_ONCE_WITHOUT = 64
+_WORK_WITHOUT = 5e6  # the same times the cube of the number of velocities: some seconds of large robots
+_FRUITLESS = 16  # rounds after which no mode is expected any more, and the most of large robots without programs
 _REACH = 2.0  # largest travel of sliding joints from home [characteristic lengths]
 _SAME = 1e-6  # distance of joints and of the tool's axes that are the same [characteristic lengths]
 _TOO_MANY = 200  # modes, if most starts end in different ones: too many, or not isolated
@@ -78,7 +80,7 @@ def assembly_modes(
         robot: the robot.
         commands: readings of the drives' counters, shape=(number of commands,) [m, rad].
         times: how often each mode is to be met.
-        max_starts: after which number of starts to stop in any case.
+        max_starts: after which number of starts to stop in any case; of large robots without programs it is less.
         seed: of the random starts.
 
     Raises:
@@ -98,7 +100,11 @@ def assembly_modes(
         features = _features(robot, found)
     counts = [0] * len(found)
     starts, more = 0, False
-    size = _AT_ONCE if robot.reason_without_programs() is None else _AT_ONCE_WITHOUT
+    size = _AT_ONCE
+    continuation = robot.continuation(robot.placing_commands)
+    if continuation is None or not continuation.has_damped_steps:
+        affordable = max(1, int(_WORK_WITHOUT / max(1, robot.model.nv) ** 3))
+        size, max_starts = min(_AT_ONCE_WITHOUT, affordable), min(max_starts, _FRUITLESS * affordable)
     while starts < max_starts:
         ends = _closed(robot, _random_starts(robot, generator, size), target)
         starts += size
@@ -121,7 +127,7 @@ def assembly_modes(
         _logger.info("%s: %d modes from %d starts", robot.name, len(counts), starts)
         if counts and min(counts) >= times:
             break
-        if not any(counts) and starts >= 16 * size:
+        if not any(counts) and starts >= _FRUITLESS * size:
             break
     order = sorted(range(int(reached.solved), len(found)), key=lambda k: _distance(robot, found[k]))
     order = [0, *order] if reached.solved else order

@@ -96,6 +96,11 @@ class Continuation:
             return self._source.damped_step(self._robot, self._task)
         return None
 
+    @property
+    def has_damped_steps(self) -> bool:
+        """Whether :meth:`ends` takes steps by a program, not one by one on Pinocchio's Jacobians."""
+        return self._damped_step is not None
+
     @cached_property
     def _sides(self) -> BoundProgram | None:
         """Tells sides of singular configurations apart where the mode does not, see :meth:`ProgramSource.sides`."""

@@ -33,7 +33,7 @@ _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, do not justif
 
 _SECONDS_EACH = 3e-10  # of an operation for one pose in code compiled quickly
 WORTH_OPTIMISING = 5e-6
-"""Seconds of running, per operation of the program, from which it is compiled with full optimisation.
+"""Seconds of processor time, per operation of the program, from which it is compiled with full optimisation.
 
 That takes twenty times as long, but large batches seldom come alone, and the code is cached. Long programs, for which
 one would wait, must run for up to six times as long, and very long ones for as long as that takes.
@@ -372,7 +372,7 @@ class Compiled:
         first_input, table, first_output = _address(rows), _address(shared), _address(outputs)
 
         def part(start: int, stop: int) -> None:
-            begin = time.perf_counter()
+            begin = time.thread_time()
             room = np.empty(self._workspace_size + _ALIGNED // 8) if self._workspace_size else shared
             function(
                 -(-_address(room) // _ALIGNED) * _ALIGNED,
@@ -384,7 +384,7 @@ class Compiled:
                 stop - start,
                 *more,
             )
-            self._seconds += time.perf_counter() - begin
+            self._seconds += time.thread_time() - begin
             if then is not None:
                 then(slice(start, stop), outputs[start:stop])
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from copy import copy
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from pm3dof_pin.calibration import planning
+from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem, order_with_references
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
@@ -72,6 +74,26 @@ def test_directions_that_no_candidate_sees_change_no_plan(
         plans.append(doubled._chosen(8, strategy, np.random.default_rng(4), 1))  # type: ignore[arg-type]
     assert doubled._visible[0].shape[2] <= size
     np.testing.assert_array_equal(*plans)
+
+
+def test_each_pose_leaves_the_least_variance_of_processes(small: PlanningProblem) -> None:
+    """By the posterior covariance of each drive's process given all poses before, solved for at once."""
+    drives = range(small.candidates.commands.shape[1])
+    inputs, tests = small.measured.inputs[:, : len(drives)], small.tested.inputs[:, : len(drives)]
+    chosen: list[int] = []
+    for _ in range(15):
+        gains = np.zeros(len(inputs))
+        for drive in drives:
+            between = partial(GaussianProcess.typical_covariance, drive=drive)
+            known = between(inputs[chosen], inputs[chosen]) + planning._PROCESS_NOISE**2 * np.eye(len(chosen))
+            seen = np.linalg.solve(known, between(inputs[chosen], inputs))
+            across = between(inputs, tests) - seen.T @ between(inputs[chosen], tests)
+            own = np.diag(between(inputs, inputs)) - np.sum(between(inputs[chosen], inputs) * seen, axis=0)
+            gains += np.sum(across**2, axis=1) / (own + planning._PROCESS_NOISE**2)
+        taken = [row for each in chosen for row in np.flatnonzero(small._spacing.near(each))]
+        gains[taken] = -np.inf
+        chosen.append(int(np.argmax(gains)))
+    np.testing.assert_array_equal(small.plan(15, "process-variance", np.random.default_rng(0)).indices, sorted(chosen))
 
 
 @pytest.mark.parametrize("count", [9, 20])

@@ -15,12 +15,14 @@ from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loaded import loaded_equilibrium
 from pm3dof_pin.elastic.loads import Loads
+from pm3dof_pin.errors import source_errors
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_budget import TOGETHER, ErrorBudget, error_budget
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors, declared_numbers
 from pm3dof_pin.errors.normal_vectors import expected_norm
 from pm3dof_pin.errors.pose_error import energy, moved_pose, pose_difference, tip_error, tip_weights
+from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
 from pm3dof_pin.errors.source_errors import ErrorSources, SourceErrors
 from pm3dof_pin.errors.waviness import GuideWaviness
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
@@ -207,6 +209,22 @@ def test_geometry_alone_is_the_error_map(budget: ErrorBudget, tripod_errors: Geo
     assert set(budget.select(["kinematic parameters"]).names) == {*alone.names, "waviness"}
     with pytest.raises(InvalidValueError, match="thermal_growth"):
         budget.select(["heat"])
+
+
+def test_sensitivities_that_are_known_are_not_computed_again(
+    tripod_errors: GeometricErrors, tripod_nominal: Poses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sources, poses = ErrorSources(tripod_errors), tripod_nominal[:5]
+    expected, found = error_budget(sources, poses), sensitivities(tripod_errors, poses)
+
+    def others_only(errors: GeometricErrors, *arguments: Poses) -> Sensitivities:
+        assert errors is sources.others
+        return sensitivities(errors, *arguments)
+
+    monkeypatch.setattr(source_errors, "sensitivities", others_only)
+    budget = error_budget(sources, poses, found=found)
+    np.testing.assert_allclose(budget.tip_rms, expected.tip_rms, rtol=1e-12)
+    np.testing.assert_allclose(budget.left_rms, expected.left_rms, rtol=1e-9)
 
 
 def test_rms_energy_and_worst_case_against_machines_drawn(budget: ErrorBudget) -> None:

@@ -15,8 +15,9 @@ import pm3dof_pin as pm
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes
 from pm3dof_pin.cli.kinematics import _completeness
-from pm3dof_pin.exceptions import SingularConfigurationError
+from pm3dof_pin.exceptions import ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.assembly_modes import AssemblyModes, assembly_modes
+from pm3dof_pin.kinematics.closing_programs import ProgramSource
 
 _MACHINES = Path(__file__).parents[1] / "machines"
 
@@ -136,6 +137,20 @@ def test_without_programs_and_with_redundant_drives() -> None:
     robot = pm.load(_MACHINES / "four_rrr")
     modes = assembly_modes(robot, robot.home.commands)
     np.testing.assert_allclose(modes.poses.commands, np.tile(robot.home.commands, (len(modes.poses), 1)), atol=1e-6)
+
+
+def test_starts_are_fewer_where_damped_steps_have_no_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a long chain of loops, whose starts by Pinocchio's Jacobians take most of a second each."""
+
+    def too_long(*_: object) -> None:
+        raise ProgramError("too many operations")
+
+    monkeypatch.setattr(ProgramSource, "damped_step", too_long)
+    robot = pm.load(_MACHINES / "five_bar")
+    found = assembly_modes(robot, robot.home.commands, max_starts=1)
+    assert (found.starts, len(found.poses)) == (64, 2)
+    monkeypatch.setattr("pm3dof_pin.kinematics.assembly_modes._WORK_WITHOUT", 2 * robot.model.nv**3)
+    assert assembly_modes(robot, robot.home.commands, times=100).starts == 32
 
 
 def test_the_estimate() -> None:

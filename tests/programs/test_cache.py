@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 import stat
 import subprocess
@@ -103,6 +104,15 @@ def test_code_that_runs_for_long_is_optimised(folder, compilations, monkeypatch)
     again = cache.compiled(make(3.7))
     assert np.array_equal([again(inputs) for _ in range(3)], [outputs] * 3)
     assert len(compilations) == 2
+
+
+def test_waiting_for_a_processor_is_no_reason_to_optimise(folder, compilations, monkeypatch):
+    hours = itertools.count(step=3600.0)
+    monkeypatch.setattr(llvm, "WORTH_OPTIMISING", 60.0)
+    monkeypatch.setattr(llvm.time, "perf_counter", lambda: next(hours))
+    program, inputs = cache.compiled(make(3.7)), np.full((60, 1), 2.0)
+    assert np.array_equal(program(inputs), program(inputs))
+    assert len(compilations) == 1
 
 
 def test_what_cannot_be_compiled_with_care_goes_on_without(folder, monkeypatch):
