@@ -26,6 +26,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from pm3dof_pin.calibration.compensation import Compensation, Conditions
 from pm3dof_pin.calibration.folder import HISTORY, read_compensation
@@ -43,6 +44,7 @@ from pm3dof_pin.measuring.wrenches import is_wrench
 from pm3dof_pin.typing import Array, Mask
 
 Verdict = Literal["unchanged", "re-zero", "recalibrate"]
+_VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
 _ZEROS = {"m": np.geomspace(3e-6, 3e-2, 17), "rad": np.geomspace(1e-5, 1e-1, 17)}
 """Sizes of changes of zeros, as many for each unit of a drive [m, rad]."""
@@ -174,16 +176,21 @@ class _Rows:
         return np.asarray(np.linalg.cholesky(self.variance + effects @ effects.T), dtype=float)
 
 
-def _calls_recalibrate(rows: _Rows, hypotheses: Sequence[_Change], drives: int) -> Mask:
-    """Tell of which of several machines the verdict is "recalibrate", shape=(machines,), with the effects at hand."""
-    evidence = np.stack([rows.evidence(change) for change in hypotheses])
-    of_each = [
-        scipy.special.logsumexp(evidence[[change.verdict == verdict for change in hypotheses]], axis=0)
-        for verdict in get_args(Verdict)
-    ]
-    most = np.argmax(of_each, axis=0)
-    against = np.stack([rows.contradiction(0), rows.contradiction(drives), np.ones(len(most))])
-    return np.asarray((most == len(of_each) - 1) | (np.take_along_axis(against, most[None], axis=0)[0] < _UNLIKELY))
+def _by_verdict(weights: Array, hypotheses: Sequence[_Change]) -> Array:
+    """Return the sums of the weights of hypotheses, shape=(k, ...), over each verdict, shape=(3, ...)."""
+    verdicts = np.array([change.verdict for change in hypotheses])
+    return np.stack([weights[verdicts == verdict].sum(axis=0) for verdict in _VERDICTS])
+
+
+def _verdict(probabilities: Array, against_unchanged: Array, against_zeros: Array) -> NDArray[np.intp]:
+    """Return the number of the verdict on each machine: the most probable, or the last if the rows contradict it.
+
+    Probabilities are those of the verdicts, shape=(3, ...), and those of residuals as large under the first two,
+    shape=(...).
+    """
+    most = probabilities.argmax(axis=0)
+    against = np.choose(most, [against_unchanged, against_zeros, np.ones_like(against_zeros)])
+    return np.where(against < _UNLIKELY, len(_VERDICTS) - 1, most)
 
 
 def _left_by_zeros(tip_square: Array, tolerances: Array) -> Array:
@@ -214,8 +221,12 @@ def _detectable_parts(
     amounts = usual * _PART_SIZES[:, None] / left[drawn]
     moved = (rows.effects[:, drives + drawn] * amounts).reshape(len(rows.off), -1)
     noise = np.linalg.cholesky(rows.variance) @ generator.standard_normal(moved.shape)
-    called = _calls_recalibrate(replace(rows, off=moved + noise), hypotheses, drives)
-    shown = np.maximum.accumulate(called.reshape(drawn.shape).mean(axis=1))
+    drawn_rows = replace(rows, off=moved + noise)
+    evidence = np.stack([drawn_rows.evidence(change) for change in hypotheses])
+    probabilities = _by_verdict(scipy.special.softmax(evidence, axis=0), hypotheses)
+    verdicts = _verdict(probabilities, drawn_rows.contradiction(0), drawn_rows.contradiction(drives))
+    called = (verdicts == _VERDICTS.index("recalibrate")).reshape(drawn.shape)
+    shown = np.maximum.accumulate(called.mean(axis=1))
     if shown[-1] < _SHOWN:
         return np.inf
     return float(usual * np.exp(np.interp(_SHOWN, shown, np.log(_PART_SIZES))))
@@ -277,10 +288,7 @@ def recheck(calibration: Compensation | Path | str, measurements: Measurements, 
         except PM3DofError:  # no machine with such zeros: parts moved
             break
     weights = scipy.special.softmax([rows.evidence(change) for change in hypotheses])
-    verdicts = np.array([change.verdict for change in hypotheses])
-    probabilities: dict[Verdict, float] = {
-        verdict: min(1.0, float(weights[verdicts == verdict].sum())) for verdict in get_args(Verdict)
-    }
+    probabilities = np.minimum(1.0, _by_verdict(weights, hypotheses))
     mean, moments = np.zeros(len(best)), np.zeros((len(best), len(best)))
     counted = np.flatnonzero(weights > _NEGLIGIBLE)
     for number in counted:
@@ -289,15 +297,14 @@ def recheck(calibration: Compensation | Path | str, measurements: Measurements, 
         mean, moments = mean + share * own, moments + share * square
     zeroed = moments - np.outer(best, mean) - np.outer(mean, best) + np.outer(best, best)
     kept, set_ = (float(np.sqrt(max(0.0, np.sum(tip_square * each)))) for each in (moments, zeroed))
-    against = {"unchanged": float(first.contradiction(0)), "re-zero": float(rows.contradiction(count))}
-    verdict = max(probabilities, key=probabilities.__getitem__)
-    if against.get(verdict, 1.0) < _UNLIKELY:
-        verdict = "recalibrate"
+    against = first.contradiction(0), rows.contradiction(count)
+    verdict = _VERDICTS[int(_verdict(probabilities, *against))]
     found, sigmas = rows.zeros(count)
     generator = np.random.default_rng(seed)
     parts, shown = _detectable_parts(rows, hypotheses, left, known.errors.tolerances, generator), _NOTICED * sigmas
     amounts = kept, set_, found, sigmas, shown, parts
-    return Recheck(verdict, probabilities, *amounts, len(measurements), *against.values())
+    each = dict(zip(_VERDICTS, probabilities.tolist(), strict=True))
+    return Recheck(verdict, each, *amounts, len(measurements), *map(float, against))
 
 
 def _rows(known: Compensation, measurements: Measurements, conditions: Conditions, zeros: Array) -> _Rows:

@@ -317,15 +317,6 @@ def transmission(
 ) -> Transmission:
     """Compute the transmission between the drives and the coordinates of a robot.
 
-    Example:
-        The drives of the tripod, felt by its three coordinates, which are joints:
-
-        >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.capability.transmission import transmission
-        >>> at = transmission(pm.load("pm3dof"), [0.0, 0.0, 0.493], effort=500.0)
-        >>> at.unit_pure_torques.round(3)
-        array([0.115, 0.133, 2.843])
-
     Args:
         robot: the robot; see :func:`joint_driven` for one with joints as coordinates.
         values: a grid over the joints, or their values, shape=(..., m) [rad, m]; or solved poses.

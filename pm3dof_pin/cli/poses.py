@@ -25,7 +25,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.units import unit_slip
 from pm3dof_pin.typing import Vector
 
-_MAX_DEGREES = 360.0
+_TURN = 360.0  # [deg]
 _ZERO = 1e-9  # numbers up to here are zeros with rounding [deg, m]
 _FEW_DEGREES = 0.5
 
@@ -158,8 +158,8 @@ def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayL
         if coordinate.unit == "m" and (slip := unit_slip(robot, coordinate, column)):
             found = f"{coordinate.name} = {worst:g} m looks like {slip.unit}"
             raise typer.BadParameter(f"{found}: expected metres ({worst / 1000:g})")
-        if coordinate.unit == "rad" and abs(worst) > _MAX_DEGREES and not _turns_without_end(robot, coordinate):
-            raise typer.BadParameter(f"{coordinate.name} = {worst:g} deg is more than a full turn: expected degrees")
+        if coordinate.unit == "rad" and (problem := _too_far(robot, coordinate, column, worst)):
+            raise typer.BadParameter(f"{coordinate.name} {problem}")
         if coordinate.unit == "rad":
             angles.append((coordinate, worst))
     if any(worst for _, worst in angles) and all(abs(worst) < _FEW_DEGREES for _, worst in angles):
@@ -179,8 +179,18 @@ def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], values: Vector
     return f"; {first_words(words)}" if words else ""
 
 
-def _turns_without_end(robot: Robot, coordinate: Coordinate) -> bool:
-    return coordinate.joint is not None and not math.isfinite(np.ptp(robot.range_of(coordinate)))
+def _too_far(robot: Robot, coordinate: Coordinate, degrees: Vector, worst: float) -> str:
+    """Return what is wrong with angles that cannot be meant, given the one farthest from zero; "" if nothing."""
+    ends = np.degrees(robot.range_of(coordinate))
+    has_range = bool(np.isfinite(ends).all())
+    low, high = ends if has_range else (-_TURN, _TURN)
+    if abs(worst) > max(_TURN, np.abs((low, high)).max()) + _ZERO and (has_range or coordinate.joint is None):
+        return f"= {worst:g} deg is more than a full turn: expected {low:.4g} to {high:.4g} deg"
+    if not unit_slip(robot, coordinate, np.radians(degrees)):
+        return ""
+    if has_range:
+        return f"= {worst:g} deg is far beyond its range: expected {low:.4g} to {high:.4g} deg"
+    return f"goes over {np.ptp(degrees):g} deg: expected at most a full turn, {_TURN:g} deg"
 
 
 def limit_words(poses: Poses) -> list[str]:

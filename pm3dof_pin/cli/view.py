@@ -107,7 +107,6 @@ def view(
         Path | None,
         typer.Option(
             "--film",
-            "--turntable",
             metavar="FILE",
             help="Write a film (GIF or MP4) of the path, or once around the robot, and exit.",
         ),

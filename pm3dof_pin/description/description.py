@@ -459,12 +459,12 @@ class Description:
         axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
         return np.asarray(self.zero_placements[joint.parent].rotation @ joint.placement.se3.rotation @ axis)
 
-    def with_base_held(self, configuration: str = "home") -> Description:
-        """Return the robot with its floating base, if it has one, held where a named configuration has it.
+    def with_base_held(self) -> Description:
+        """Return the robot with its floating base, if it has one, held where home has it.
 
         Closures that then join bodies of which neither moves are left out, unless springs or limits name closures.
         """
-        values = self.configurations.get(configuration, {})
+        values = self.configurations.get("home", {})
         fixed = {}
         for base in self.floating_base:
             motion = _motion(base, values.get(base.name, _NEUTRAL.get(base.type, (0.0,))))

@@ -69,15 +69,6 @@ def search_buckling(
     path is followed. The search ends at the largest factor, where a spring that represents a body is deflected further
     than a body can be, or where the mechanism reaches a dead point.
 
-    Example:
-        >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.elastic.buckling import search_buckling
-        >>> hexapod = pm.ElasticModel.load("hexapod")
-        >>> down = pm.Loads(wrenches={"O_e": [0.01, 0.0, -1.0, 0.0, 0.0, 0.0]})
-        >>> found = search_buckling(hexapod, hexapod.rigid.home, down).load
-        >>> print(f"{found.kind} at {found.factor:.0f} N")
-        limit point at 656061 N
-
     Args:
         model: the elastic mechanism.
         configuration: configuration with springs at rest: an assembled one of the rigid mechanism, or its q.

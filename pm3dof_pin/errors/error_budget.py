@@ -133,17 +133,6 @@ def error_budget(
 ) -> ErrorBudget:
     """Compute the effect of every source of error on the tool at given poses.
 
-    Example:
-        >>> import numpy as np
-        >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.errors.error_budget import error_budget
-        >>> from pm3dof_pin.errors.source_errors import ErrorSources
-        >>> errors = pm.GeometricErrors.load("pm3dof")
-        >>> poses = pm.reachable_poses(errors.robot, 20, np.random.default_rng(0))
-        >>> budget = error_budget(ErrorSources(errors, wrench=[500.0, 0.0, 0.0, 0.0, 0.0, 0.0]), poses)
-        >>> [f"{1e6 * budget.select([name]).tip_rms.mean():.0f} µm by {name}" for name in ("wrench", "thermal")]
-        ['... µm by wrench', '... µm by thermal']
-
     Args:
         sources: the sources with their magnitudes.
         poses: poses of the robot as described, of shape (n,).

@@ -84,12 +84,6 @@ def export_controller(
 ) -> list[Path]:
     """Write a robot's kinematics for a controller, between its drives and :func:`coordinates <placed_by_tool>`.
 
-    Example:
-        >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.export.controllers import export_controller
-        >>> [file.name for file in export_controller(pm.load("pm3dof"), "c", "firmware")]
-        ['pm3dof.h', 'pm3dof.c', 'pm3dof_parameters.h']
-
     Args:
         robot: the robot as described.
         controller: see :data:`ControllerName`.

@@ -30,7 +30,7 @@ def grblhal_files(controller: Controller) -> dict[str, str]:
         UnreachablePoseError: hardly any pose is within the limits, or moves between them are not.
     """
     machine = Machine(controller)
-    if (count := axis_count(machine)) > MOST_AXES:
+    if (count := _axis_count(machine)) > MOST_AXES:
         raise InvalidValueError(f"{controller.robot.name} in grblHAL", f"{count} axes", f"at most {MOST_AXES}")
     name = machine.name
     stops, joints = machine.stops
@@ -43,12 +43,12 @@ def grblhal_files(controller: Controller) -> dict[str, str]:
     }
 
 
-def axis_count(machine: Machine) -> int:
+def _axis_count(machine: Machine) -> int:
     """Return the least number of axes that the controller must be built with: at least three."""
     return max(3, len(machine.robot.commands), *(AXIS_INDICES[letter] + 1 for letter in machine.axes.letters))
 
 
-def move_scale(machine: Machine) -> list[float]:
+def _move_scale(machine: Machine) -> list[float]:
     """Return by how much a move is divided, by mm or degree of each axis.
 
     Drives that move evenly over a step d of the coordinates are off by at most d' H d / 8, H their second derivatives;
@@ -360,11 +360,11 @@ def _source(machine: Machine) -> str:
         "NAME": name,
         "UPPER": name.upper(),
         "MODEL": "calibrated" if "calibrated" in machine.controller.models else "nominal",
-        "AXES": str(axis_count(machine)),
+        "AXES": str(_axis_count(machine)),
         "AXIS_OF": ", ".join(str(AXIS_INDICES[letter]) for letter in machine.axes.letters),
         "AXIS_UNITS": ", ".join(repr(1.0 / shown) for shown in machine.shown.tolist()),
         "MOTOR_UNITS": ", ".join(repr(1.0 / shown) for shown in machine.joint_shown.tolist()),
-        "PIECES": ", ".join(f"{share:.6g}" for share in move_scale(machine)),
+        "PIECES": ", ".join(f"{share:.6g}" for share in _move_scale(machine)),
         "CHORD": f"{1e6 * _CHORD:g} um or urad",
         "HOME": ", ".join(repr(value) for value in at_home.tolist()),
     }
@@ -386,7 +386,7 @@ Axes: {axes}; millimetres and degrees, angles of R = Rx(A) Ry(B) Rz(C).
 Motors, in the controller's order: {motors}. Axes that the robot does not have are motors of their own after these.
 
 - Put `{name}_grblhal.c`, `{name}.h` and `{name}_parameters.h` beside `grbl.h`, define `KINEMATICS_API` in `config.h`,
-  and build with `N_AXIS` of at least {axis_count(machine)}. The file is a plugin (`my_plugin_init`).
+  and build with `N_AXIS` of at least {_axis_count(machine)}. The file is a plugin (`my_plugin_init`).
 - Steps per mm of `$100` and on, rates and accelerations are those of the motors, per mm or degree.
 - Moves are divided so that motors are off by at most {1e6 * _CHORD:g} um or urad between two poses. A move of which any
   part breaks a limit is not begun: alarm 2.

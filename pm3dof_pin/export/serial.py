@@ -100,7 +100,7 @@ def _home_of_its_own(robot: Robot) -> dict[str, dict[str, tuple[float, ...]]]:
     return {"home": dict(described) | {name: values for name, values in found.items() if values}}
 
 
-def with_constants(tree: Description, constants: SerialConstants) -> Description:
+def _with_constants(tree: Description, constants: SerialConstants) -> Description:
     """Return a tree with the constants of its joints: limits, armature, losses, and drives with gains.
 
     Losses of a joint that is a drive itself are among those of the drives, and do not count twice.
@@ -155,7 +155,7 @@ def write_serial(
     if robot.files is None:
         raise InvalidValueError("robot", robot.name, "a robot that was read from files")
     closed = document_of(robot, robot.files, meshes=meshes, floating="root")
-    serial = document_of(Robot.load(with_constants(tree, constants)), robot.files, meshes=meshes, floating="root")
+    serial = document_of(Robot.load(_with_constants(tree, constants)), robot.files, meshes=meshes, floating="root")
     name, banner = closed.file_name, "\n".join([f"{robot.name} without its loops.", *constant_lines(constants, fit)])
     texts = {f"{name}_serial.xml": mjcf_text(serial, banner)}
     # in a folder of its own: a closures file counts for the MJCF of its name too

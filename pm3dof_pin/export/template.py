@@ -27,7 +27,7 @@ def c_comment(text: str) -> str:
     return harmless(one_line(text)).replace("??", "? ?").replace("??", "? ?")
 
 
-def string_literal(text: str) -> str:
+def _string_literal(text: str) -> str:
     """Return text as a string literal of C, C++ or Python."""
     escaped = text.replace("\\", r"\\").replace('"', r"\"").replace("??", r"?\077")
     return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda found: f"\\{ord(found[0]):03o}", escaped) + '"'
@@ -59,7 +59,7 @@ def fill(
     def replaced(token: re.Match[str]) -> str:
         quote, key = token.groups()
         if quote:
-            return string_literal(names[key])
+            return _string_literal(names[key])
         return words[key] if key in words else escaped(names[key])
 
     return _WORD.sub(replaced, template)

@@ -182,12 +182,6 @@ class Robot(PlacedMechanism):
         Such a spring is the drive with its transmission, as felt at the actuated joint. Drives without a spring are
         rigid. If the description names no actuated joints, as SDF cannot, those with a given stiffness are.
 
-        Example:
-            >>> import pm3dof_pin as pm
-            >>> robot = pm.load("linear_delta").with_drive_stiffness(1e7)
-            >>> pm.compliance(robot, robot.home).shape
-            (6, 6)
-
         Args:
             stiffness: of every actuated joint, or of those named [N/m for a prismatic joint, N m/rad for a revolute].
 

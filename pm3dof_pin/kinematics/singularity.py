@@ -99,19 +99,6 @@ def singularity_distances(
     freedom. It is zero at the singularity, and practically linear in the distance near it. Lengths are divided by the
     characteristic length. Arguments and errors as in :func:`singularities`.
 
-    Example:
-        >>> import numpy as np
-        >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.kinematics.singularity import singularity_distances
-        >>> hexapod = pm.load("hexapod")
-        >>> for turn in (60.0, 80.0, 89.0):
-        ...     turned = hexapod.solve([0.0, 0.0, 0.135, 0.0, 0.0, np.radians(turn)]).configuration()
-        ...     measures = {entry.type: entry.measure for entry in singularity_distances(turned)}
-        ...     print(f"{measures['parallel']:.4f}")
-        0.1700
-        0.0501
-        0.0049
-
     Returns:
         One for each type that the mechanism can have: without closures there is no constraint singularity.
     """

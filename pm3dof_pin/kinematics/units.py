@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,7 +65,10 @@ def unit_slip(robot: PlacedMechanism, coordinate: Coordinate, values: ArrayLike)
     if coordinate.tool is None:
         return None
     first, last = _ends(np.asarray(values, dtype=float))
-    return slip_in_range(values, "rad", -_TURN, _TURN, beyond=0.0) if last - first > _TURN * (1.0 + 1e-9) else None
+    if last - first <= _TURN * (1.0 + 1e-9):
+        return None
+    slip = slip_in_range(values, "rad", -_TURN, _TURN, beyond=0.0)
+    return replace(slip, expected=f"radians, over at most a turn of {_TURN:.4g}") if slip else None
 
 
 def slip_in_range(

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.datasets import NamedArray, NamedArrays, coordinate_attributes, dataset_attributes, flag_variable
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace
-from pm3dof_pin.typing import Array, Mask
+from pm3dof_pin.typing import Array, Mask, Vector
 
 BRANCH = "branch"
 """Name of the limit that a pose is on another branch, behind a singular one."""
@@ -34,6 +34,7 @@ _PATCH = {1: 25, 2: 13}  # points along each side of the patch in which an extre
 _COARSE_PATCH = {1: 7, 2: 5}  # for robots that no program solves, whose extremes are coarser too
 _COARSER = 1e4
 _HALVINGS = 7  # per patch
+_LEAST_MOVE = 2.0**-14  # of the farthest
 _BOUNDARY_HALVINGS, _FEW_HALVINGS = 12, 7  # of the side of a cell
 _FEWEST_DIRECTIONS = 8
 _ROUND_LEVELS = 8
@@ -117,7 +118,7 @@ class Workspace:
         """Sections at round levels, for drawing; none if there are two coordinates, or the set is flat."""
         if not self.space.stacked or not np.ptp(self.level_range) > 0.0:
             return ()
-        return self.sections_at(round_levels(self.level_range, self.space.units[2]))
+        return self.sections_at(_round_levels(self.level_range, self.space.units[2]))
 
     @property
     def volume(self) -> float:
@@ -215,7 +216,7 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
     return Workspace(space, level_range, sections, ends[:2], range_levels, sections_at)
 
 
-def round_levels(ends: ArrayLike, unit: str) -> Array:
+def _round_levels(ends: ArrayLike, unit: str) -> Array:
     """Return the levels between two that are round numbers of metres or degrees, at most eight [m, rad]."""
     factor = np.degrees(1.0) if unit == "rad" else 1.0
     low, high = factor * np.asarray(ends, dtype=float)
@@ -356,8 +357,9 @@ def _extremes(
     """Move poses of a set, shape=(m, d), to its extremes near them: along one axis each, down or up.
 
     Around each pose, a patch across its axis is moved along the axis by bisection as far as any of its points stays in
-    the set. It then surrounds the last of them, and shrinks unless that was at its edge. Coordinates that are not free
-    do not change.
+    the set. It then surrounds the last of them, and shrinks unless that was at its edge. If it does not, it is moved
+    once more the way that the pose took, up to twice as far as such a move came last, so that it does not creep along
+    ridges and into cusps. Coordinates that are not free do not change.
     """
     best, moved = starts.copy(), np.flatnonzero(np.isin(np.arange(starts.shape[1]), free))
     d = len(moved) - 1
@@ -370,29 +372,51 @@ def _extremes(
     steps = np.zeros_like(starts)
     steps[np.arange(len(starts)), axes] = sides * cell[axes]
     size = np.full(len(starts), 2.0)
+    length, former = size.copy(), best.copy()  # of such moves
     smallest = tolerance * _SEARCH_POINTS if space.density == 1.0 else min(_COARSER * tolerance * _SEARCH_POINTS, 0.05)
     while (active := np.flatnonzero(size > smallest)).size:
         patch = best[active, None] + size[active, None, None] * offsets[active]
-        alive = np.ones(patch.shape[:2], dtype=bool)
-        low, high = np.zeros(len(active)), size[active].copy()
-        middle = 2.0**-_HALVINGS * high  # points that stay behind at once are not tried farther
-        for _ in range(_HALVINGS):
-            owner, place = np.nonzero(alive & (high > 0.0)[:, None])
-            inside = np.zeros_like(alive)
-            inside[owner, place] = space.within(patch[owner, place] + middle[owner, None] * steps[active][owner])
-            farther = inside.any(axis=1)
-            alive[farther] = inside[farther]
-            high = np.where(farther, high, np.where(low > 0.0, middle, 0.0))
-            low = np.where(farther, middle, low)
-            middle = 0.5 * (low + high)
-        found = low > 0.0
-        centre = np.sum(patch * alive[..., None], axis=1) / alive.sum(axis=1)[:, None]
-        distance = np.sum(((patch - centre[:, None]) / cell) ** 2, axis=2)
-        chosen = np.argmin(np.where(alive, distance, np.inf), axis=1)
-        here = patch[np.arange(len(active)), chosen] + low[:, None] * steps[active]
-        best[active[found]] = here[found]
-        size[active] *= np.where(found & (at_edge[chosen] | (low > 0.5 * size[active])), 1.0, 0.5)
+        here, low, chosen = _pushed(space, patch, steps[active], size[active], cell)
+        creeps = (low > 0.0) & (at_edge[chosen] | (low > 0.5 * size[active]))
+        size[active[~creeps]] *= 0.5
+        best[active[low > 0.0]] = here[low > 0.0]
+        active, here = active[creeps], here[creeps]
+        way = here - former[active]
+        way /= np.abs(way / cell)[np.arange(len(active)), axes[active], None]
+        former[active] = here
+        patch = here[:, None] + size[active, None, None] * offsets[active]
+        here, low, _ = _pushed(space, patch, way, length[active], cell)
+        best[active[low > 0.0]] = here[low > 0.0]
+        length[active] = np.maximum(2.0 * low, size[active])
     return best
+
+
+def _pushed(
+    space: LimitSpace, patches: Array, steps: Array, lengths: Array, cell: Array
+) -> tuple[Array, Vector, NDArray[np.intp]]:
+    """Move patches, shape=(m, k, d), as far as any of their points stays in the set.
+
+    Returns the points in the middle of those that stay, shape=(m, d), how far they came in steps of the patches, at
+    most the lengths and 0 if none stays, and their numbers, shape=(m,) each.
+    """
+    alive = np.ones(patches.shape[:2], dtype=bool)
+    low, high = np.zeros(len(patches)), lengths
+    middle = _LEAST_MOVE * high  # points that stay behind at once are not tried farther
+    for _ in range(_HALVINGS):
+        owner, place = np.nonzero(alive & (high > 0.0)[:, None])
+        if not owner.size:
+            break
+        inside = np.zeros_like(alive)
+        inside[owner, place] = space.within(patches[owner, place] + middle[owner, None] * steps[owner])
+        farther = inside.any(axis=1)
+        alive[farther] = inside[farther]
+        high = np.where(farther, high, np.where(low > 0.0, middle, 0.0))
+        low = np.where(farther, middle, low)
+        middle = 0.5 * (low + high)
+    centre = np.sum(patches * alive[..., None], axis=1) / alive.sum(axis=1)[:, None]
+    distance = np.sum(((patches - centre[:, None]) / cell) ** 2, axis=2)
+    chosen = np.argmin(np.where(alive, distance, np.inf), axis=1)
+    return patches[np.arange(len(patches)), chosen] + low[:, None] * steps, low, chosen
 
 
 def _sections(space: LimitSpace, levels: Array, known: Array, cell: Array, directions: int) -> list[WorkspaceSection]:

@@ -413,17 +413,6 @@ def evaluate_path(robot: Robot, path: ToolPath, options: PathOptions | None = No
     Between the points of the path the robot is solved wherever joints that move evenly would leave the path by more
     than the tolerance. Points that break a limit or are out of reach are kept, in order.
 
-    Example:
-        >>> from pathlib import Path
-        >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.paths.evaluation import PathOptions, evaluate_path
-        >>> from pm3dof_pin.paths.tool_path import read_path
-        >>> robot = pm.load("hexapod")
-        >>> _ = Path("line.ngc").write_text("G21 G0 X0 Y0 Z130\nG1 X10 F600\nM2\n")
-        >>> found = evaluate_path(robot, read_path(robot, "line.ngc"), PathOptions(force=[0.0, 0.0, 20.0]))
-        >>> found.summary["within_limits"]
-        True
-
     Args:
         robot: the robot.
         path: the path, read for the robot with the same tool length.

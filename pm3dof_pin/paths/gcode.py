@@ -73,6 +73,8 @@ class Move:
     duration: float | None = None  #: of a move in inverse time, or a dwell [s]
     arc: Arc | None = None
     blend: float | None = None  #: tolerance of the corner at its end: 0 for G61, P of G64 [m]; None if not given
+    #: whether the program has said where X, Y, Z, A, B, C are in a coordinate system; else they follow from home
+    named: tuple[bool, ...] = (True,) * len(_AXES)
 
 
 class GCodeProgram(NamedTuple):
@@ -172,6 +174,7 @@ class _Interpreter:
         self._system = 54
         self._tool: int | None = None
         self._long = False
+        self._named = np.zeros(len(_AXES), dtype=bool)
         self._position = self._seen_from(self._system, np.array(home, dtype=np.float64))
 
     def run(self, lines: Iterable[tuple[int, list[tuple[str, float]]]]) -> Iterator[Move]:
@@ -294,7 +297,8 @@ class _Interpreter:
         if axes or given.get("P", -1.0) < 0.0:
             raise self._error("expected G4 P with a time in seconds, and no axes")
         place = tuple(self._position.tolist())
-        self._moves.append(Move(self._line, place, place, self._system, duration=given["P"]))
+        named = tuple(self._named.tolist())
+        self._moves.append(Move(self._line, place, place, self._system, duration=given["P"], named=named))
 
     def _go_home(self, given: dict[str, float], axes: list[str]) -> None:
         if axes:
@@ -351,6 +355,7 @@ class _Interpreter:
         for letter in axes:
             index, number = _AXES.index(letter), self._number(letter, given[letter])
             target[index] = target[index] + number if self._relative else number
+            self._named[index] |= not self._relative
         return target
 
     def _arc(self, target: Array, given: dict[str, float], others: list[str]) -> Arc:
@@ -413,8 +418,8 @@ class _Interpreter:
             speeds = {"duration": 60.0 / feed}
         elif feed is not None:
             speeds = {"feed": feed * self._feed_unit / 60.0, "turning_feed": math.radians(feed) / 60.0}
-        ends = tuple(start.tolist()), tuple(target.tolist())
-        self._moves.append(Move(self._line, *ends, self._system, arc=arc, blend=self._blend, **speeds))
+        ends, named = (tuple(start.tolist()), tuple(target.tolist())), tuple(self._named.tolist())
+        self._moves.append(Move(self._line, *ends, self._system, arc=arc, blend=self._blend, named=named, **speeds))
 
     def _error(self, problem: str) -> GCodeError:
         return GCodeError(self._path, self._line, problem)

@@ -26,7 +26,7 @@ from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.mechanism.tool_components import rotation_of_angles
+from pm3dof_pin.mechanism.tool_components import rotation_of_angles, tool_components
 from pm3dof_pin.paths.bounds import drive_limits
 from pm3dof_pin.paths.evaluation import PathOptions
 from pm3dof_pin.paths.follower import Follower, with_tool_length
@@ -66,17 +66,30 @@ class PlacementSearch:
         self._follower = Follower(with_tool_length(robot, options.tool_length), path, options.table)
         self.robot, self._options, self._goal = self._follower.robot, options, goal
         own = path.system != MACHINE
-        after_own = np.insert(own[:-1], 0, False)  # other moves start where the machine is, not the workpiece
+        # moves that start where another one, or home, has left the machine count at their ends only
+        after_own = np.insert(own[:-1] & (path.named[1:] == path.named[:-1]).all(axis=1), 0, False)
         count = len(path)
         shares = np.linspace(0.0, 1.0, max(-(-_POINTS // count), 1) + 1)[1:]
         moves, along = np.repeat(np.arange(count), len(shares)), np.tile(shares, count)
         kept = own[moves] & (after_own[moves] | (along == 1.0))
+        if not kept.any():
+            raise InvalidValueError("path", problem="is all in the base, G53", expected="moves of a workpiece")
         every = max(-(-int(kept.sum()) // _POINTS), 1)
         moves, along = moves[kept][::every], along[kept][::every]
         self.targets = path.values(moves, along)
+        self._home = tool_components(self.robot.home.tool_placement.homogeneous)
+        unnamed, systems = ~path.named[moves], path.system[moves]
+        unnamed[:, 3:] &= path.turns
+        #: points with axes that the program has not named yet: rows, placement of their system, and the axes
+        self._unnamed = [
+            (rows, path.placements.get(int(system), np.eye(4)), unnamed[rows])
+            for system in np.unique(systems)
+            if len(rows := np.flatnonzero((systems == system) & unnamed.any(axis=1)))
+        ]
         cutting = ~path.rapid[moves]
         self.cutting = cutting if cutting.any() else ~cutting
-        self.centre = 0.5 * (self.targets[:, :3].min(axis=0) + self.targets[:, :3].max(axis=0))
+        placed = np.where(unnamed[:, :3].all(axis=0) | ~unnamed[:, :3], self.targets[:, :3], np.nan)
+        self.centre = 0.5 * (np.nanmin(placed, axis=0) + np.nanmax(placed, axis=0))
         self.force = None if self._options.force is None else np.asarray(self._options.force, dtype=float)
         self._quality = self._measure(robot)
 
@@ -121,7 +134,14 @@ class PlacementSearch:
     def moved(self, motions: Array) -> Array:
         """Return the points of the path after motions of the workpiece, shape=(m, 4, 4), as shape=(m, n, 6)."""
         turns = self._follower.path.turns
-        return np.stack([in_machine(motion, self.targets, turns=turns) for motion in motions])
+        found = np.stack([in_machine(motion, self.targets, turns=turns) for motion in motions])
+        for rows, placement, unnamed in self._unnamed:  # there the machine stands where home, not the workpiece, is
+            local, home = (_seen_from(placement, each, turns=turns) for each in (self.targets[rows], self._home))
+            for own, motion in zip(found, motions, strict=True):
+                moved = motion @ placement
+                shift = _seen_from(moved, self._home, turns=turns) - home
+                own[rows] = in_machine(moved, local + unnamed * shift, turns=turns)
+        return found
 
     def costs(self, motions: Array) -> Vector:
         """Return the costs of motions of the workpiece, shape=(m, 4, 4), as shape=(m,)."""
@@ -166,6 +186,11 @@ class PlacementSearch:
         return motions
 
 
+def _seen_from(placement: Matrix, values: Array, *, turns: bool) -> Array:
+    """Return X Y Z A B C of the base in a placed coordinate system, shape=(..., 6)."""
+    return in_machine(np.asarray(np.linalg.inv(placement), dtype=float), values, turns=turns)
+
+
 def place_path(
     robot: Robot,
     path: ToolPath,
@@ -178,19 +203,8 @@ def place_path(
     r"""Search the placement of the workpiece at which a path is best.
 
     The workpiece is moved in the directions in which the robot moves its tool and which the program names, within the
-    ranges of its coordinates. Moves that start at home of the machine count at their ends only; rapids count for the
-    limits alone.
-
-    Example:
-        >>> from pathlib import Path
-        >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.paths.placement import place_path
-        >>> from pm3dof_pin.paths.tool_path import read_path
-        >>> robot = pm.load("linear_delta")
-        >>> _ = Path("line.ngc").write_text("G21 G1 X-10 F600\nX10\nY10\nM2\n")
-        >>> found = place_path(robot, read_path(robot, "line.ngc"), "fastest")
-        >>> found.variables
-        ('x', 'y')
+    ranges of its coordinates; axes that it has not named yet stay where the machine is. Moves that start at home of the
+    machine, or name an axis for the first time, count at their ends only; rapids count for the limits alone.
 
     Args:
         robot: the robot.
@@ -202,7 +216,8 @@ def place_path(
 
     Raises:
         UnreachablePoseError: no placement was found at which the whole path is within limits.
-        InvalidValueError: the path is one of coordinates, or the robot lacks what the goal needs.
+        InvalidValueError: the path is one of coordinates or has no moves of the workpiece, or the robot lacks what the
+            goal needs.
     """
     require_choice("goal", goal, Goal)
     if path.components is None:

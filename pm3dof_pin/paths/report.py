@@ -46,7 +46,7 @@ def path_report(found: PathEvaluation, name: str, placement: WorkpiecePlacement 
         where = f"The workpiece is placed where the path is {placement.goal}: {_cost(placement)}."
         parts[3:3] = [
             f"<p>{where}</p>",
-            html_image(placement_picture(found, placement), "map of what was searched, and the path"),
+            html_image(_placement_picture(found, placement), "map of what was searched, and the path"),
         ]
     return html_page(f"{escape(name)} on {robot}", parts)
 
@@ -57,7 +57,7 @@ def _cost(placement: WorkpiecePlacement) -> str:
     return f"{words} {factor * placement.cost:.4g} {unit}, before {before}"
 
 
-def placement_picture(found: PathEvaluation, placement: WorkpiecePlacement) -> Figure:
+def _placement_picture(found: PathEvaluation, placement: WorkpiecePlacement) -> Figure:
     """Draw the map of what was searched around the path, at its mean height and orientation, and the path on it.
 
     Over one variable alone, a curve.

@@ -40,6 +40,7 @@ _MOVES = np.dtype(
         ("arcs", np.float64, 3),
         ("system", np.int64),
         ("rapid", np.bool_),
+        ("named", np.bool_, 6),
     ],
     align=True,
 )
@@ -74,6 +75,8 @@ class ToolPath:
     arc_axes: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     arcs: Matrix = field(default_factory=lambda: np.zeros((0, 3)))
     system: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  #: of each move, shape=(n,)
+    #: which of X, Y, Z, A, B, C the program has named by the end of each move, others follow from home, shape=(n, 6)
+    named: Mask = field(default_factory=lambda: np.zeros((0, 6), dtype=bool))
     placements: Systems = field(default_factory=dict)  #: of the coordinate systems in the base
     times: Vector | None = None  #: times at the ends of moves, shape=(n + 1,) [s]; None: from feeds
     wrenches: Matrix | None = None  #: on the tool at the ends of moves, shape=(n + 1, 6) [N, N m]; None: none given
@@ -88,6 +91,7 @@ class ToolPath:
             "arc_axes": np.full((n, 2), -1),
             "arcs": np.zeros((n, 3)),
             "system": np.full(n, MACHINE),
+            "named": np.ones((n, 6), dtype=bool),
         }
         for name, values in usual.items():
             if len(getattr(self, name)) != n:
@@ -160,14 +164,6 @@ def read_path(
     have columns time_s, or feed_m_s or feed_mm_min, and load_fx_N .. load_mz_Nm. Programs: see
     :mod:`pm3dof_pin.paths.gcode`.
 
-    Example:
-        >>> from pathlib import Path
-        >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.paths.tool_path import read_path
-        >>> _ = Path("square.ngc").write_text("G21 G0 X0 Y0 Z130\nG1 X10 F600\nG1 Y10\nM2\n")
-        >>> read_path(pm.load("hexapod"), "square.ngc")
-        ToolPath(3 moves of X, Y, Z, A, B, C)
-
     Args:
         robot: the robot, with its tool at the tool point.
         path: the file.
@@ -222,6 +218,7 @@ def _row(move: Move) -> tuple[Any, ...]:
         (0.0, 0.0, 0.0) if arc is None else (*arc.centre, arc.sweep),
         move.system,
         move.feed is None and move.duration is None and not is_dwell,
+        move.named,
     )
 
 

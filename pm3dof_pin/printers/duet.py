@@ -58,7 +58,7 @@ class DuetBackup(GCodeLog):
             log = log.then(saved)
             if saved.geometry or saved.stops:
                 log, text = replace(log, path=override), later
-        log = replace(log, probed=read_height_map(height_map, read_text(height_map)))
+        log = replace(log, probed=_read_height_map(height_map, read_text(height_map)))
         return cls(**vars(log), text=text, height_map=height_map.name)
 
     @property
@@ -84,7 +84,7 @@ def is_height_map(text: str) -> bool:
     return text.lstrip("\ufeff").startswith(_TITLE)
 
 
-def read_height_map(path: Path, text: str) -> tuple[tuple[float, float, float], ...]:
+def _read_height_map(path: Path, text: str) -> tuple[tuple[float, float, float], ...]:
     """Return the points and heights of a height map [mm].
 
     Raises:

@@ -71,7 +71,7 @@ def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float
         _add_joint(names, entries, model.names[index], model.joints[index])
     for name in dict.fromkeys([*frame_names(mechanism), *frames]):
         _add_placement(names, entries, f"frame/{name}", model.frames[mechanism.frame_id(name)].placement)
-    on_base = placed_on_base(mechanism, frames)
+    on_base = _placed_on_base(mechanism, frames)
     axes = _working_axes(list(on_base.values()))
     for name, placement in {
         WORKING_AXES: axes,
@@ -110,7 +110,7 @@ def chosen(found: Mapping[str, float], names: Iterable[str]) -> Vector:
     return np.array([found[name] for name in names])
 
 
-def placed_on_base(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, pin.SE3]:
+def _placed_on_base(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, pin.SE3]:
     """Return the placements of joints and frames on the base, by owner."""
     model = mechanism.model
     found = {model.names[k]: model.jointPlacements[k] for k in range(1, model.njoints) if model.parents[k] == 0}
@@ -148,7 +148,7 @@ class Geometry:
         self._graph = graph
         self._numbers = numbers(mechanism, frames)
         self.in_working_axes = in_working_axes
-        self._moved = set(placed_on_base(mechanism, frames)) if in_working_axes else set[str]()
+        self._moved = set(_placed_on_base(mechanism, frames)) if in_working_axes else set[str]()
         self._dense = dense
         self._known: dict[str, Number | float] = {}
 

@@ -7,6 +7,7 @@ import csv
 import os
 import pty
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,7 +22,9 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 
 Answer = Callable[..., Any]
-FIVE_BAR = str(Path(__file__).parents[1] / "machines" / "five_bar" / "five_bar.urdf")
+MACHINES = Path(__file__).parents[1] / "machines"
+FIVE_BAR = str(MACHINES / "five_bar" / "five_bar.urdf")
+FOUR_RRR = str(MACHINES / "four_rrr" / "four_rrr.urdf")
 
 
 @pytest.mark.usefixtures("unpainted")
@@ -98,6 +101,9 @@ def test_workspace_over_chosen_coordinates(answer: Answer, tmp_path: Path) -> No
         (["atlas", "--robot", "hexapod", "--range", "x", "1", "0", "3"], 2, "expected increasing values"),
         (["atlas", "--robot", "hexapod", "--range", "x", "-10", "500", "3"], 2, "looks like millimetres"),
         (["atlas", "--robot", "hexapod", "--range", "x", "0", "nan", "3"], 2, "nan is not a finite number"),
+        (["atlas", "--robot", "hexapod", "--range", "rz", "-200", "200", "3"], 2, "expected -9 to 9 deg"),
+        (["atlas", "--robot", FOUR_RRR, "--range", "rz", "-200", "200", "3"], 2, "expected at most a full turn"),
+        (["atlas", "--robot", FOUR_RRR, "--range", "rz", "-400", "400", "3"], 2, "expected -360 to 360 deg"),
         (["atlas", "--robot", "hexapod", "--tilt", "20"], 2, "use --range"),
         (["atlas", "--robot", "hexapod", "--counts", "3,3"], 2, "expected one number, or 6 for hexapod"),
         (["atlas", "--robot", "hexapod", "-q", "chapter_global"], 1, "has no chapter_global"),
@@ -123,6 +129,21 @@ def test_wrong_usage(run: Any, arguments: list[str], status: int, words: str, tm
     assert words in " ".join(result.stderr.split()).replace("│", "")
     assert "Traceback" not in result.stderr
     assert list(tmp_path.rglob("*.*")) == []
+
+
+@pytest.mark.parametrize("ends", [("0", "360"), ("-400", "400")])
+def test_ranges_over_a_turn_or_as_declared(answer: Answer, tmp_path: Path, ends: tuple[str, str]) -> None:
+    """A whole turn is one of any rotation of the tool; more, if the description declares it."""
+    folder = shutil.copytree(MACHINES / "four_rrr", tmp_path / "four_rrr")
+    coordinates = "coordinates:\n" + "".join(f"  - {{name: {n}, tool: {n}, unit: m}}\n" for n in "xy")
+    limits = ", range: [-7, 7]" if ends[0] == "-400" else ""
+    coordinates += f"  - {{name: rz, tool: rz, unit: rad{limits}}}\n"
+    with (folder / "four_rrr.closures.yaml").open("a") as file:
+        file.write(coordinates)
+    command = ["atlas", "--robot", str(folder / "four_rrr.urdf"), "--range", "rz", *ends, "3", "-q", "branch"]
+    answer(*command, "--no-pictures", "--out", str(tmp_path / "atlas.nc"))
+    with xr.open_dataset(tmp_path / "atlas.nc") as dataset:
+        np.testing.assert_allclose(np.degrees(dataset["rz"].values), np.linspace(*map(float, ends), 3), atol=1e-9)
 
 
 def test_the_bar_on_a_terminal_says_that_a_program_is_compiled(tmp_path: Path) -> None:

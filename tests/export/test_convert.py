@@ -270,3 +270,25 @@ def test_a_hinge_on_the_base_stays_one_in_sdf(tmp_path: Path) -> None:
     robot, again = (Robot.load(path) for path in (tmp_path / "fourbar.urdf", tmp_path / "there" / "fourbar.sdf"))
     commands = np.linspace(0.6, 1.3, 5)[:, None]
     np.testing.assert_allclose(again.forward(commands).transforms, robot.forward(commands).transforms, atol=1e-9)
+
+
+@pytest.mark.parametrize("dialect", _SUFFIX)
+def test_configurations_that_are_not_home_keep_their_joint_values(tmp_path: Path, dialect: str) -> None:
+    """Of a planar arm 0.4 and 0.3 m long, with angles by hand: MuJoCo's qpos counts from ref, where the body stands."""
+    inertia = '<inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
+    (tmp_path / "arm.xml").write_text(
+        f"""<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="upper">{inertia}
+        <joint name="a" axis="0 0 1" ref="0.2" range="-2 2"/><body name="lower" pos="0.4 0 0">{inertia}
+        <joint name="b" axis="0 0 1" ref="-0.7" range="-2 2"/><body name="rod" pos="0.3 0 0">{inertia}
+        <joint name="c" type="slide" axis="0 0 1" ref="0.05" range="-1 1"/><site name="tip"/></body></body></body>
+        </worldbody><actuator><motor joint="a"/><motor joint="b"/><motor joint="c"/></actuator><keyframe>
+        <key name="home" qpos="0.2 -0.7 0.05"/><key name="bent" qpos="0.5 0.4 0.11"/></keyframe></mujoco>"""
+    )
+    target = tmp_path / f"converted{_SUFFIX[dialect]}"
+    convert_robot(tmp_path / "arm.xml", target, dialect=dialect)
+    again = pm.load(target)
+    placed = again.configuration(again.named_configurations["bent"]).frame_placement("tip")
+    first, both = 0.3, 0.3 + 1.1
+    wanted = [0.4 * np.cos(first) + 0.3 * np.cos(both), 0.4 * np.sin(first) + 0.3 * np.sin(both), 0.06]
+    np.testing.assert_allclose(placed.translation, wanted, atol=1e-9)
+    np.testing.assert_allclose(placed.rotation[:2, 0], [np.cos(both), np.sin(both)], atol=1e-9)

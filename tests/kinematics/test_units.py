@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,9 @@ def test_batches_and_grids_without_declared_ranges() -> None:
     tilts[:, 4] = generator.uniform(-3.1, 3.1, 50)
     hexapod.solve(tilts, on_failure="nan")
     assert hexapod.grid(rz=(-math.pi, math.pi, 5)).shape == (5,)
+    planar = load(Path(__file__).parents[1] / "machines" / "four_rrr" / "four_rrr.urdf")
+    with pytest.raises(InvalidValueError, match=r"rz = .* expected radians, over at most a turn of 6\.283"):
+        planar.grid(rz=(-3.5, 3.5, 3))
 
 
 @pytest.fixture(scope="module")

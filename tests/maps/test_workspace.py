@@ -123,6 +123,30 @@ def test_a_slender_ridge_is_followed_to_its_tip() -> None:
     assert found.ranges[:, 1] == pytest.approx(along, abs=1e-3)
 
 
+@pytest.mark.parametrize("power", [1.5, 2.0])
+def test_a_curved_cusp_is_followed_without_creeping(power: float) -> None:
+    """Where sides meet tangentially, no patch is fine enough: the tip is that of v = 0.3 u^2 at u = 1, askew."""
+    along, across = np.array([np.cos(0.7), np.sin(0.7)]), np.array([-np.sin(0.7), np.cos(0.7)])
+    calls = 0
+
+    def broken(points: Array) -> Array:
+        nonlocal calls
+        calls += 1
+        u, v = points @ along, points @ across
+        return (np.abs(v - 0.3 * u**2) > 0.1 * np.maximum(1.0 - u, 0.0) ** power) | (u > 1.0) | (u < -0.2)
+
+    found = workspace(space(broken, 2), 1, 360)
+    assert found.ranges[:, 1] == pytest.approx(along + 0.3 * across, abs=1e-4)
+    assert calls < 2_000
+
+
+def test_smooth_extremes_between_points_of_the_grid() -> None:
+    middle = np.array([0.0371, -0.0613, 0.0177])
+    found = workspace(space(lambda points: ball((points - middle) / 0.83), 3), 3, 40)
+    assert found.ranges == pytest.approx(middle[:2, None] + [-0.83, 0.83], abs=1e-6)
+    assert found.level_range == pytest.approx(middle[2] + np.array([-0.83, 0.83]), abs=1e-6)
+
+
 def test_a_plane_set_with_a_hole_and_two_parts() -> None:
     """A slender triangle of base 0.3 and height 1.5, with a round hole, next to a turned square of side 0.2."""
     across, along = np.array([np.cos(0.4), np.sin(0.4)]), np.array([-np.sin(0.4), np.cos(0.4)])

@@ -83,6 +83,33 @@ def test_a_workpiece_that_is_placed_already_moves_as_a_whole(monkeypatch: pytest
     np.testing.assert_allclose(after, before @ found.motion[:3, :3].T + found.motion[:3, 3], atol=1e-12)
 
 
+@pytest.mark.parametrize("turn", [0.0, 35.0])
+def test_axes_not_named_yet_stay_where_the_machine_is(turn: float, tmp_path: Path) -> None:
+    """Points of a moved workpiece are those of the program read again with the moved placements."""
+    robot, file = pm.load("hexapod"), tmp_path / "part.ngc"
+    file.write_text("G21\nG1 X4 F600\nX-3\nG91 Z1\nG90 G55 Y5\nZ-1\nG54 X2\nG55 Z2\nM2\n")
+    first, second, motion = np.eye(4), np.eye(4), np.eye(4)
+    first[:3, :3] = second[:3, :3] = Rotation.from_euler("z", 40.0, degrees=True).as_matrix()
+    first[:3, 3], second[:3, 3], motion[:3, 3] = [0.002, 0.001, 0.13], [0.0, 0.003, 0.14], [0.004, -0.002, 0.006]
+    motion[:3, :3] = Rotation.from_euler("z", turn, degrees=True).as_matrix()
+    placements = {54: first, 55: second}
+    path = read_path(robot, file, workpiece=placements)
+    again = read_path(robot, file, workpiece={number: motion @ own for number, own in placements.items()})
+    search = placement.PlacementSearch(robot, path, "fastest", PathOptions())
+    ends = again.values(np.arange(len(again)), np.ones(len(again)))[:, :3]
+    off = np.linalg.norm(search.moved(motion[None])[0][:, None, :3] - ends, axis=2)
+    assert off.min(axis=0).max() < 1e-12
+
+
+def test_a_workpiece_out_of_reach_that_is_approached_at_the_height_of_home(tmp_path: Path) -> None:
+    robot, file = pm.load("hexapod"), tmp_path / "pocket.ngc"
+    file.write_text("G21 G0 X0 Y0\n" + POCKET)
+    options = PathOptions(force=[0.0, 0.0, 10.0])
+    found = place_path(robot, read_path(robot, file), "stiffest", options)
+    placed = evaluate_path(robot, read_path(robot, file, workpiece=found.workpiece), options)
+    assert placed.summary["within_limits"]
+
+
 def test_a_workpiece_above_the_reach_of_a_tripod_is_lowered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A table moves it along x, where it is as far off as the tripod reaches up."""
     monkeypatch.setattr(placement, "_POPULATION", 4)
@@ -101,6 +128,9 @@ def test_what_cannot_be_placed_is_refused(tmp_path: Path) -> None:
         place_path(robot, read_path(robot, file))
     with pytest.raises(InvalidValueError, match="has no error file"):
         place_path(robot, read_path(robot, file), "accurate")
+    file.write_text("G21 G53 G1 X1 F100\nG53 X2\nM2\n")
+    with pytest.raises(InvalidValueError, match="is all in the base, G53"):
+        place_path(robot, read_path(robot, file))
     table = tmp_path / "path.csv"
     table.write_text("x_m,y_m,z_m,rx_rad,ry_rad,rz_rad\n0,0,.135,0,0,0\n.001,0,.135,0,0,0\n")
     with pytest.raises(InvalidValueError, match="one of the robot's coordinates"):
