@@ -405,8 +405,12 @@ class Compensation:
             spread = np.array([self.stiffness.get(name, (1.0, 0.0))[1] for name in names])
             parts = self._by_spring(poses, wrenches) * weights * spread[:, None]
             total = total + np.swapaxes(parts, 1, 2) @ parts
-        if self.learned is not None:
-            control = command_jacobians(poses) * weights[:, None]
-            moved = control * self.learned.uncertainties(poses.commands, given)[:, None, :]
-            total = total + moved @ np.swapaxes(moved, 1, 2)
-        return np.asarray(total)
+        return np.asarray(total + self.learned_covariances(poses, given))
+
+    def learned_covariances(self, poses: Poses, conditions: Conditions) -> Array:
+        """Return the part of the learned deviations in :meth:`covariances`, shape=(n, 6, 6) [m^2]."""
+        if self.learned is None:
+            return np.zeros((len(poses), 6, 6))
+        control = command_jacobians(poses) * self.weights[:, None]
+        moved = control * self.learned.uncertainties(poses.commands, conditions)[:, None, :]
+        return np.asarray(moved @ np.swapaxes(moved, 1, 2))

@@ -46,6 +46,13 @@ class ElasticTerm:
             return cls()
         return cls(tuple(str(entry["name"]) for entry in robot.springs), wrenches)
 
+    def of(self, measurements: Measurements, robot: Robot) -> ElasticTerm:
+        """Return the term of the same unknowns for other measurements."""
+        if not self.springs:
+            return self
+        wrenches = wrenches_of(measurements.conditions, robot, len(measurements))
+        return ElasticTerm(self.springs, np.zeros((len(measurements), 6)) if wrenches is None else wrenches)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, `spring.ln_k`."""

@@ -352,7 +352,8 @@ def _of_parameters(calibration: Fit, square: Array) -> dict[str, float]:
     scaled = np.sqrt(found.certainties)[:, :, None] * found.rows
     matrix = scaled.reshape(-1, scaled.shape[2])
     units = np.concatenate([found.errors.tolerances, np.ones(machine - count), found.nuisances.scales])
-    before = np.concatenate([np.full(count, found.prior), np.ones(machine - count), found.nuisances.sigmas])
+    before = np.concatenate([found.prior.sigmas, np.ones(machine - count), found.nuisances.sigmas])
+    widening = np.concatenate([found.prior.widening, np.ones(len(before) - count)])
     datum = found.seen_map
 
     def variances(known: Mask) -> tuple[float, float]:
@@ -365,8 +366,8 @@ def _of_parameters(calibration: Fit, square: Array) -> dict[str, float]:
             spread = scipy.linalg.cho_solve(scipy.linalg.cho_factor(total), effects.T)
         else:  # what has no prior may not have been seen
             spread = np.linalg.pinv(total) @ effects.T
-        precision[free < count] *= 1.0 + found.prior_error
-        noise, ignorance = (np.sum((part @ square) * part) for part in (rows @ spread, precision[:, None] * spread))
+        unmeasured = (precision * widening[free])[:, None] * spread
+        noise, ignorance = (np.sum((part @ square) * part) for part in (rows @ spread, unmeasured))
         return float(noise), float(ignorance)
 
     columns = np.arange(found.rows.shape[2])

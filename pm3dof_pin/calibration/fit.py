@@ -23,7 +23,6 @@ from pm3dof_pin.calibration.session_effects import SessionEffects
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
-from pm3dof_pin.errors.presets import nearly_free
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
@@ -144,10 +143,12 @@ def fit(
         identification = identify(measurements, errors, prior=options.prior, loss=options.loss)
     else:
         identification = first or identify(measurements, errors, loss=options.loss, precision=ROUGHLY)
-        prior, error = identification.likely_prior(nearly_free(errors))
+        likely = identification.likely_prior()
         shown, start = identification.measurements, identification
-        identification = identify(shown, errors, prior=prior, prior_error=error, loss=options.loss, start=start)
-    options = replace(options, prior=identification.prior)
+        identification = identify(
+            shown, errors, prior=likely.k, prior_error=likely.error, loss=options.loss, start=start
+        )
+    options = replace(options, prior=identification.prior.k)
     shown = identification.settled[identification.trusted]
     nominal = errors.robot.forward(shown.visits.commands)
     warnings = (*_gaps(identification), *_unseen_motions(shown, nominal, options))

@@ -379,7 +379,7 @@ def _identification_summary(found: Identification) -> dict[str, Any]:
     data = np.where(np.isfinite(found.data_sigmas), found.data_sigmas, found.sigmas)
     rows = zip(errors.names, found.values, data, found.sigmas, errors.tolerances, errors.units, strict=True)
     return {
-        "prior_tolerances": found.prior,
+        "prior_tolerances": found.prior.k,
         "steps": found.steps,
         "identifiable_combinations": found.identifiability.identified,
         "says_nothing_about": list(found.identifiability.unidentified),

@@ -11,6 +11,7 @@ import numpy as np
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.fit import MIN_POSES, Fit, compensation_from
 from pm3dof_pin.calibration.identification import ROUGHLY, Identification, identify
+from pm3dof_pin.calibration.linearisation import Linearisation
 from pm3dof_pin.calibration.mistakes import millimetres
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
 from pm3dof_pin.calibration.scatter import COVERAGE, Scatter
@@ -41,6 +42,9 @@ class HeldOut:
             the calibrated machine would be held against the others.
         after: tip error with the corrected commands, the measurements' noise included, shape=(visits,) [m].
         floor: tip error with the best commands, the measurements' noise included, shape=(visits,) [m].
+        whole: `before` and `after` with the directions that the measurements do not show, as the model has them,
+            shape=(2, visits) [m]. Commands of few drives correct the whole error, and may increase the part that is
+            seen.
         noise: tip error due to the measurements' noise, root mean square, shape=(visits,) [m].
         chance: standard deviation, from the measurements' noise, of the mean of after^2 - before^2 [m^2].
         excess: expected difference between the corrected commands and the best ones, root mean square over the
@@ -61,6 +65,7 @@ class HeldOut:
     before: Array
     after: Array
     floor: Array
+    whole: Array
     noise: Array
     chance: float
     excess: Array
@@ -96,8 +101,8 @@ class HeldOut:
             found = identify(
                 measurements[shown],
                 errors,
-                prior=whole.prior,
-                prior_error=whole.prior_error,
+                prior=whole.prior.k,
+                prior_error=whole.prior.error,
                 loss=options.loss,
                 nuisances=whole.nuisances,
                 start=whole,
@@ -105,7 +110,7 @@ class HeldOut:
             )
             compensation = compensation_from(found.settled, errors, options, found if options.identifies else None)
             part = measurements[hidden]
-            parts.append(_scores_of(compensation, found.settle(part), calibration.compensation))
+            parts.append(_scores_of(compensation, found, found.linearised(part), calibration.compensation))
             starts.append(hidden[part.first_rows])
         units = [command.unit for command in errors.robot.commands]
         scores = _Scores.joined(parts)[np.argsort(np.concatenate(starts))].with_visible_tool()
@@ -126,10 +131,11 @@ class HeldOut:
         """
         compensation = calibration.compensation
         measurements, notes = _of_known_targets(calibration.identification, measurements)
-        settled, moved = _of_their_own_station(calibration, measurements)
-        scores = _scores_of(compensation, settled, compensation)
+        measurements, moved = _of_their_own_station(calibration, measurements)
+        found = calibration.identification
+        scores = _scores_of(compensation, found, found.linearised(measurements), compensation)
         scatter = compensation.scatter
-        judged = _together(calibration, np.arange(len(settled)), scores.with_visible_tool(), scatter, scatter)
+        judged = _together(calibration, np.arange(len(measurements)), scores.with_visible_tool(), scatter, scatter)
         return replace(judged, notes=(*notes, *moved))
 
 
@@ -154,21 +160,21 @@ def _of_known_targets(found: Identification, measurements: Measurements) -> tupl
 
 
 def _of_their_own_station(calibration: Fit, measurements: Measurements) -> tuple[Measurements, tuple[str, ...]]:
-    """Return settled measurements, of an instrument that was moved in the base located by the calibrated machine."""
-    settled = calibration.identification.settle(measurements)
-    if settled.registration is None or not measurements.seen.all():
-        return settled, ()
-    compensation = calibration.compensation
+    """Return measurements, of an instrument that was moved in the base located by the calibrated machine."""
+    if measurements.registration is None or not measurements.seen.all():
+        return measurements, ()
+    compensation, linear = calibration.compensation, calibration.identification.linearised(measurements)
+    settled = linear.settled
     reached = compensation.poses(compensation.errors.robot.forward(settled.commands), settled.conditions)
     found = settled.registered_at(reached, compensation.eta)
     difference = pose_difference(np.eye(4), found.base)
     if np.linalg.norm(difference[:3]) < _MOVED and np.linalg.norm(difference[3:]) < _MOVED:
-        return settled, ()
+        return measurements, ()
     note = (
         f"the validation was measured from another station, {np.linalg.norm(difference[:3]):.3g} m away: its base is "
         "located separately, and errors common to all poses are not judged"
     )
-    return replace(settled.in_axes(found), registration=None), (note,)
+    return replace(linear.measurements.in_axes(found), registration=None), (note,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +183,7 @@ class _Scores:
 
     Attributes:
         found: tip-weighted errors before, after and with the best commands, shape=(visits, 3, 6) [m].
+        hidden: the first two in the directions that are not shown, as the model has them, shape=(visits, 2, 6) [m].
         noise: covariance of these errors, from the measurements' noise, shape=(visits, 6, 6) [m^2].
         moved: the same by motions of base and tool, shape=(visits, 6, 12).
         missed: errors of the predicted poses, tip-weighted, shape=(visits, 6) [m].
@@ -189,6 +196,7 @@ class _Scores:
     """
 
     found: Array
+    hidden: Array
     noise: Array
     moved: Array
     missed: Array
@@ -218,7 +226,11 @@ class _Scores:
         return np.asarray(np.linalg.norm(self.missed, axis=1) <= bounds)
 
 
-def _scores_of(compensation: Compensation, measurements: Measurements, final: Compensation) -> _Scores:
+def _scores_of(
+    compensation: Compensation, found: Identification, linear: Linearisation, final: Compensation
+) -> _Scores:
+    """Score measurements that were linearised at what was found, by the compensation from that."""
+    measurements = linear.settled
     if compensation.values is not None:
         measurements = compensation.without_loads(measurements)
     visits, eta = measurements.visits, compensation.eta
@@ -236,19 +248,46 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
         kept = np.where(reached.solved[:, None], predicted, 0.0)
         reached = compensation.errors.robot.forward(nominal.commands + kept, guess=nominal.q)
     errors = np.stack([true.before, seen_errors(measurements, reached, eta).errors, best], axis=1)
-    moved = datum_motions(nominal) * tip_weights(eta, nominal.robot.tool_motions)[:, None]
+    weights = tip_weights(eta, nominal.robot.tool_motions)
+    moved = datum_motions(nominal) * weights[:, None]
     model = compensation.poses(nominal, visits.conditions)
     left = seen_errors(measurements, model, eta)
-    uncertain = compensation.covariances(model, visits.conditions)
-    uncertain = uncertain + compensation.session.covariances(session_conditions(visits), model, eta)
-    known = left.covariances + left.shown @ uncertain @ left.shown
+    modelled = weights * pose_difference(np.stack([nominal.transforms, reached.transforms]), model.transforms)
+    hidden = np.einsum("nij,knj->nki", np.eye(6) - left.shown, modelled)
+    learned = compensation.learned_covariances(model, visits.conditions)
+    signed = compensation.session.signed_effects(session_conditions(visits), model, eta)
+    independent = left.shown @ (learned + signed @ np.swapaxes(signed, 1, 2)) @ left.shown
+    known = left.covariances + _unknown(compensation, found, left.by(linear.rows)) + independent
     of_all = final.covariances(reached := final.model_poses(nominal), visits.conditions)
     effects = final.standard_effects(reached)
     control = weighted_control(nominal, eta)
     if compensation.values is None:
         blind = np.linalg.matrix_rank(control_inverse(true.control)) < control.shape[2]
         of_all[blind] = np.nan
-    return _Scores(errors, true.seen.covariances, moved, left.errors, known, left.shown, control, of_all, effects)
+    noise = true.seen.covariances
+    return _Scores(errors, hidden, noise, moved, left.errors, known, left.shown, control, of_all, effects)
+
+
+def _unknown(compensation: Compensation, found: Identification, effects: Array) -> Array:
+    """Return the covariance of errors by all parameters of a fit, machine and set-up, shape=(visits, 6, 6) [m^2].
+
+    What shifts with the place of a plane or a camera was found with it. Of a method without parameters, only those of
+    the set-up count.
+
+    Args:
+        compensation: of the parameters, as far as they are certain.
+        found: the fit.
+        effects: the errors by the parameters in their scales, shape=(visits, 6, parameters).
+    """
+    units, count = found.units, len(found.errors)
+    known = found.known_covariance / np.outer(units, units)
+    if compensation.values is None:
+        machine = len(known) - len(found.nuisances)
+        known, effects = known[machine:, machine:], effects[:, :, machine:]
+    else:
+        left_out = (found.values - compensation.values) / units[:count]
+        known[:count, :count] += np.outer(left_out, left_out)
+    return np.asarray(effects @ known @ np.swapaxes(effects, 1, 2))
 
 
 def _outlying(calibration: Fit) -> list[_Scores]:
@@ -259,16 +298,17 @@ def _outlying(calibration: Fit) -> list[_Scores]:
     numbers = found.measurements.pose_numbers
     outlying = np.flatnonzero(np.isin(numbers, numbers[list(found.outliers)]))
     with contextlib.suppress(UnreachablePoseError):  # a mistake in the commands
-        settled = found.settle(found.measurements[outlying])
-        scores = _scores_of(calibration.compensation, settled, calibration.compensation)
+        linear = found.linearised(found.measurements[outlying])
+        scores = _scores_of(calibration.compensation, found, linear, calibration.compensation)
         return [scores[np.asarray(scores.shown.any(axis=(1, 2)))]]
     return []
 
 
 def _together(calibration: Fit, rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
     """Combine the errors, with `scatter` for the bounds and the certain part of it, `sure`, for the excess."""
-    errors = _registered(scores, calibration.identification)
+    errors = _registered(scores.found, scores.shown @ scores.moved, calibration.identification)
     before, after, floor = np.linalg.norm(errors, axis=2)
+    whole = _registered(scores.found[:, :2] + scores.hidden, scores.moved, calibration.identification)
     energies = np.array([weighted_energy(each) for each in errors])
     gains, left = control_inverse(scores.control), sure.covariances(scores.control)
     excess = np.sqrt(np.einsum("nij,njk,nik->n", gains, scores.uncertain + left, gains) / gains.shape[1])
@@ -276,15 +316,34 @@ def _together(calibration: Fit, rows: Indices, scores: _Scores, scatter: Scatter
     interval = sure.excess_interval(scores.effects, scores.control) if calibration.scatters else None
     noise, change = np.sqrt(np.einsum("nii->n", scores.noise)), errors[1] - errors[0]
     chance = 2.0 * float(np.sqrt(np.einsum("ni,nij,nj->", change, scores.noise, change))) / len(before)
-    return HeldOut(rows, before, after, floor, noise, chance, excess, interval, scatter, within, energies)
+    return HeldOut(
+        rows,
+        before,
+        after,
+        floor,
+        np.linalg.norm(whole, axis=2),
+        noise,
+        chance,
+        excess,
+        interval,
+        scatter,
+        within,
+        energies,
+    )
 
 
-def _registered(scores: _Scores, found: Identification) -> Array:
-    """Return the errors, each without what motions of an unknown base and of unknown points explain, (3, visits, 6)."""
+def _registered(errors: Array, moved: Array, found: Identification) -> Array:
+    """Return errors, each without what motions of an unknown base and of unknown points explain, (k, visits, 6).
+
+    Args:
+        errors: tip-weighted, shape=(visits, k, 6) [m].
+        moved: the same by motions of base and tool, shape=(visits, 6, 12).
+        found: what was identified.
+    """
     kinds = {part.kind for part in found.nuisances.parts}
     columns = np.repeat(["frame" in kinds, bool(kinds & {"targets", "tool_point"})], 6)
-    errors = np.swapaxes(scores.found, 0, 1).reshape(3, -1)
+    each = np.swapaxes(errors, 0, 1).reshape(errors.shape[1], -1)
     if columns.any():
-        moved = (scores.shown @ scores.moved[:, :, columns]).reshape(-1, int(columns.sum()))
-        errors = errors - (moved @ np.linalg.lstsq(moved, errors.T, rcond=_UNSEEN)[0]).T
-    return np.asarray(errors.reshape(3, -1, 6))
+        motions = moved[:, :, columns].reshape(-1, int(columns.sum()))
+        each = each - (motions @ np.linalg.lstsq(motions, each.T, rcond=_UNSEEN)[0]).T
+    return np.asarray(each.reshape(errors.shape[1], -1, 6))

@@ -11,7 +11,7 @@ minimum found, so that a few outlying rows cannot make them alternate between tw
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,19 +19,18 @@ import numpy as np
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE, Identifiability
-from pm3dof_pin.calibration.linearisation import Linearisation, Loss, RobustFit, tool_motions_by_drives
+from pm3dof_pin.calibration.linearisation import Linearisation, Loss, RobustFit
+from pm3dof_pin.calibration.prior import PRIOR, Prior
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
+from pm3dof_pin.errors.presets import nearly_free
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances, seen_datum_map
-from pm3dof_pin.typing import Array, Indices, Mask
-
-PRIOR = 3.0
-"""k: prior standard deviation of the parameters, in units of their tolerances."""
+from pm3dof_pin.typing import Array, Indices
 
 PRIOR_DOMINATED = 0.9
 """A parameter whose standard deviation stays above this fraction of the prior's is dominated by the prior."""
@@ -70,8 +69,7 @@ class Identification:
     #: larger than :attr:`data_sigmas` by the shift from smooth unmodelled effects that would be hidden in the noise.
     #: They falsify parameters, but not the poses predicted from these
     sigmas: Array
-    prior: float  #: k, prior standard deviation in units of the tolerances; infinite for none
-    prior_error: float  #: relative standard error of k
+    prior: Prior  #: of the parameters
     measurements: Measurements  #: the measurements, in the axes of the identified base
     settled: Measurements  #: the same, minus the effects of the nuisance parameters
     poses: Poses  #: of the calibrated machine at the commands
@@ -91,16 +89,14 @@ class Identification:
     stiffness_logarithms: Array  #: ln of each spring's stiffness over that of the description, shape=(springs,)
 
     @classmethod
-    def from_fit(
-        cls, problem: Linearisation, fit: RobustFit, loss: Loss, prior_error: float, steps: int
-    ) -> Identification:
+    def from_fit(cls, problem: Linearisation, fit: RobustFit, loss: Loss, steps: int) -> Identification:
         """Return the results of a fit of a problem linearised at the solution; arguments as for :func:`identify`."""
         errors, factors = problem.errors, problem.kinds @ fit.noise_factors
         ends = np.cumsum([len(errors), len(problem.elastic.names)])
         values, logarithms, measuring = np.split(fit.x * problem.units, ends)
         certainties = problem.certainties(fit, loss)
         # the worst of many parameters must be within its bounds too: twice the error of k
-        covariance, worst = problem.covariances(certainties, (prior_error, 2.0 * prior_error))
+        covariance, worst = problem.covariances(certainties, (problem.prior.error, 2.0 * problem.prior.error))
         hidden = problem.hidden_shifts(certainties, factors, covariance)
         variances = np.diag(worst)[: len(errors)]
         return cls(
@@ -111,7 +107,6 @@ class Identification:
             joint_covariance=frozen(covariance),
             sigmas=frozen(np.sqrt(variances + hidden**2)),
             prior=problem.prior,
-            prior_error=prior_error,
             measurements=problem.measurements,
             settled=problem.settled,
             poses=problem.poses,
@@ -162,7 +157,7 @@ class Identification:
         chosen = self.seen_map
         if not chosen[len(self.errors) :].any():
             return self.covariance
-        return np.asarray(chosen @ self._known_covariance @ chosen.T)
+        return np.asarray(chosen @ self.known_covariance @ chosen.T)
 
     @cached_property
     def seen_map(self) -> Array:
@@ -177,7 +172,7 @@ class Identification:
             weights = tip_weights(TIP_LENGTH, self.errors.robot.tool_motions)
             own = np.r_[:count, self._first_nuisance : len(self.joint_covariance)]
             motions = sensitivities(self.errors, poses, self.values).errors
-            covariance = self._known_covariance[np.ix_(own, own)]
+            covariance = self.known_covariance[np.ix_(own, own)]
             datum = seen_datum_map(self.nuisances, motions, poses, weights, covariance)
         chosen = np.zeros((count + 12, len(self.joint_covariance)))
         chosen[:count, :count] = np.eye(count)
@@ -185,7 +180,7 @@ class Identification:
         return frozen(chosen)
 
     @property
-    def _known_covariance(self) -> Array:
+    def known_covariance(self) -> Array:
         """The joint covariance without infinite variances: undetermined parameters move nothing that was seen."""
         return np.where(np.isfinite(self.joint_covariance), self.joint_covariance, 0.0)
 
@@ -193,19 +188,23 @@ class Identification:
     def _first_nuisance(self) -> int:
         return len(self.joint_covariance) - len(self.nuisances)
 
+    @cached_property
+    def units(self) -> Array:
+        """The scales of all parameters, shape=(parameters,) [m, rad, 1]."""
+        return np.concatenate([self.errors.tolerances, self.elastic.sigmas, self.nuisances.scales])
+
     @property
     def scaled_values(self) -> Array:
         """All parameters in units of their scales: p, the logarithms of stiffness, y."""
-        parts = (self.values / self.errors.tolerances, self.stiffness_logarithms / self.elastic.sigmas)
-        return np.concatenate([*parts, self.nuisance_values / self.nuisances.scales])
+        return np.concatenate([self.values, self.stiffness_logarithms, self.nuisance_values]) / self.units
 
     @property
     def shrinkage(self) -> Array:
         """Standard deviation of each parameter relative to the prior's, shape=(parameters,)."""
         after = np.sqrt(np.diag(self.covariance))
-        if np.isinf(self.prior):
+        if np.isinf(self.prior.k):
             return np.asarray(np.isinf(after), dtype=float)
-        return np.asarray(after / ((1.0 + self.prior_error) * self.prior * self.errors.tolerances))
+        return np.asarray(after / (self.prior.widening * self.prior.sigmas * self.errors.tolerances))
 
     @property
     def nuisance_sigmas(self) -> Array:
@@ -233,8 +232,7 @@ class Identification:
 
         0 for coordinates that were not measured.
         """
-        units = np.concatenate([self.errors.tolerances, self.elastic.sigmas, self.nuisances.scales])
-        known = self._known_covariance / np.outer(units, units)
+        known = self.known_covariance / np.outer(self.units, self.units)
         absorbed = np.einsum("nri,ij,nrj->nr", self.rows, known, self.rows, optimize=True) / self.noise_factors**2
         return np.asarray(np.where(self.measurements.seen, np.clip(1.0 - absorbed, 0.0, 1.0), 0.0))
 
@@ -262,48 +260,45 @@ class Identification:
         dominated = np.concatenate([self.shrinkage, self.stiffness_sigmas / self.elastic.sigmas]) >= PRIOR_DOMINATED
         return tuple(name for name, flag in zip(names, dominated, strict=True) if flag)
 
-    def settle(self, measurements: Measurements) -> Measurements:
-        """Return other measurements of the session in this base, minus the effects of the nuisance parameters."""
+    def linearised(self, measurements: Measurements) -> Linearisation:
+        """Return other measurements of the session in this base, linearised at the identified parameters."""
         if measurements.registration is not None and self.measurements.registration is not None:
             measurements = measurements.registered_as(self.measurements.registration)
-        poses = _poses_at(
-            self.errors.apply(self.values), measurements, self.errors.robot.forward(measurements.commands).q
+        robot = self.errors.robot
+        poses = _poses_at(self.errors.apply(self.values), measurements, robot.forward(measurements.commands).q)
+        elastic = self.elastic.of(measurements, robot)
+        return Linearisation.at(
+            measurements, self.errors, elastic, self.nuisances, self.prior, poses, self.scaled_values
         )
-        drives = tool_motions_by_drives(poses)
-        return self.nuisances.removed(measurements, poses, drives, self.nuisance_values)
 
-    def likely_prior(self, free: Mask) -> tuple[float, float]:
-        """Return the most likely k, the parameters' typical error in units of tolerances, and its relative error.
+    def likely_prior(self) -> Prior:
+        """Return the prior with the most likely k, the parts' typical error in units of tolerances, and its error.
 
         k maximises the likelihood of the measurements (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g, with
         x the parameters in tolerances, identified with a generous prior, and g the effective number of them that the
         data determine. The tolerances' own value, k = 1, counts as much as some of these. k is at most that of the
         identification. The relative standard error of a standard deviation from so many is 1 / sqrt(2 (g + some)).
-
-        Args:
-            free: parameters whose tolerances say only that they are not known, shape=(parameters,). They tell nothing
-                of how the parts were made, and are left out like what else is estimated.
         """
-        sized = np.flatnonzero(~free)
+        parts = self.prior.parts
         scaled = np.sqrt(self.weights)[:, None, None] / self.noise_factors[:, None]
-        blocks = (scaled * self.rows[:, :, sized]).reshape(-1, len(sized))
-        others = (scaled * np.delete(self.rows, sized, axis=2)).reshape(len(blocks), -1)
+        blocks = (scaled * self.rows[:, :, parts]).reshape(-1, len(parts))
+        others = (scaled * np.delete(self.rows, parts, axis=2)).reshape(len(blocks), -1)
         if others.size:
             blocks = blocks - others @ np.linalg.lstsq(others, blocks, rcond=REGRESSOR_TOLERANCE)[0]
         values, axes = np.linalg.eigh(blocks.T @ blocks)
         values = np.maximum(values, 0.0)
-        most = self.prior if np.isfinite(self.prior) else PRIOR
+        most = self.prior.k if np.isfinite(self.prior.k) else PRIOR
         k, effective = most, 0.0
         # the least-squares solution along each axis, from the one with the prior
-        start = axes.T @ (self.values / self.errors.tolerances)[sized]
-        pulled = start * (values + (0.0 if np.isinf(self.prior) else 1.0 / self.prior**2))
+        start = axes.T @ (self.values / self.errors.tolerances)[parts]
+        pulled = start * (values + self.prior.k**-2.0)
         for _ in range(_MAX_STEPS):
             x = pulled / (values + 1.0 / k**2)
             effective = float(np.sum(values / (values + 1.0 / k**2)))
             previous, k = k, min(float(np.sqrt((np.sum(x**2) + _BELIEVED) / (effective + _BELIEVED))), most)
             if abs(k - previous) < 1e-3:
                 break
-        return k, float(1.0 / np.sqrt(2.0 * (effective + _BELIEVED)))
+        return replace(self.prior, k=k, error=float(1.0 / np.sqrt(2.0 * (effective + _BELIEVED))))
 
 
 def identify(
@@ -322,8 +317,9 @@ def identify(
     Args:
         measurements: poses, positions or points.
         errors: the parameters, with their tolerances.
-        prior: k, expected size of the parameters' errors in tolerances. If infinite, there is no prior: what is not
-            identifiable stays at its nominal value, and its deviation is infinite.
+        prior: k, expected size of the parameters' errors in tolerances, but of nearly free ones; see
+            :mod:`pm3dof_pin.calibration.prior`. If infinite, there is no prior: what is not identifiable stays at its
+            nominal value, and its deviation is infinite.
         prior_error: relative standard error of k.
         loss: "squares", "huber", or "tukey" after Huber's.
         nuisances: other parameters of the measurements; by default those that they imply.
@@ -338,8 +334,7 @@ def identify(
     if not len(measurements) or not len(errors):
         problem = f"{len(measurements)} measurements, {len(errors)} parameters"
         raise InvalidValueError("identification", problem, "at least one of each")
-    if not prior > 0.0:
-        raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
+    expected = Prior(prior, nearly_free(errors), prior_error)
     if nuisances is None:
         nuisances = Nuisances.from_measurements(measurements, tuple(command.unit for command in errors.robot.commands))
     elastic = ElasticTerm.from_measurements(errors.robot, measurements)
@@ -353,7 +348,7 @@ def identify(
     solutions: list[Array] = []
     changes: list[Array] = []
     for step in range(1, _MAX_STEPS + 1):
-        linear = Linearisation.at(measurements, errors, elastic, nuisances, prior, poses, x)
+        linear = Linearisation.at(measurements, errors, elastic, nuisances, expected, poses, x)
         fit = linear.robust(loss, fit if previous < _NEAR or step > _SEARCHING else None)
         change = linear.rows @ (fit.x - x)
         length = float(np.abs(change).max())
@@ -369,8 +364,8 @@ def identify(
             x[frame] = 0.0
         poses = _poses_at(errors.apply(x[:count] * errors.tolerances), measurements, poses.q)
         if done:
-            linear = Linearisation.at(measurements, errors, elastic, nuisances, prior, poses, x)
-            return Identification.from_fit(linear, fit, loss, prior_error, step)
+            linear = Linearisation.at(measurements, errors, elastic, nuisances, expected, poses, x)
+            return Identification.from_fit(linear, fit, loss, step)
         previous = length
     raise ConvergenceError(
         "identification", length, "sigmas", _MAX_STEPS, "use a prior; check that the measurements are of this machine"

@@ -18,6 +18,7 @@ import scipy
 
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE
+from pm3dof_pin.calibration.prior import Prior
 from pm3dof_pin.errors.command_correction import command_jacobians, command_scales
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
@@ -67,7 +68,7 @@ class Linearisation:
     errors: GeometricErrors
     elastic: ElasticTerm
     nuisances: Nuisances
-    prior: float  #: prior standard deviation of p, in its scales; infinite for none
+    prior: Prior  #: of p
     poses: Poses  #: of the machine, for each row
     start: Array  #: the parameters there, shape=(parameters,)
     residuals: Array  #: measurements minus the machine's prediction, shape=(n, rows) [m, rad]
@@ -80,7 +81,7 @@ class Linearisation:
         errors: GeometricErrors,
         elastic: ElasticTerm,
         nuisances: Nuisances,
-        prior: float,
+        prior: Prior,
         poses: Poses,
         start: Array,
     ) -> Linearisation:
@@ -116,8 +117,7 @@ class Linearisation:
     @cached_property
     def sigmas(self) -> Array:
         """Prior standard deviations of the parameters, in their scales, shape=(parameters,)."""
-        machine = np.full(len(self.errors), self.prior), np.ones(len(self.elastic.names))
-        return np.concatenate([*machine, self.nuisances.sigmas])
+        return np.concatenate([self.prior.sigmas, np.ones(len(self.elastic.names)), self.nuisances.sigmas])
 
     @cached_property
     def kinds(self) -> Array:
@@ -195,16 +195,16 @@ class Linearisation:
         Infinite for those that a singular information leaves undetermined.
 
         With the information I of the measurements and L of the prior, it is C = (I + L)^-1 = C I C + C L C. The second
-        term is what was not measured; the prior's error affects the parameters' part of it.
+        term is what was not measured; the error of k affects the part of it that k scales.
         """
         information = _information(self.rows, np.sqrt(certainties))
         unit = np.outer(self.units, self.units)
-        if np.isfinite(self.prior):
+        if np.isfinite(self.prior.k):
             # as a square it stays positive semidefinite, which the inverse of hardly known parameters does not
             factor = np.linalg.cholesky(information + np.diag(1.0 / self.sigmas**2))
             root = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
             covariance = root.T @ root
-            unmeasured = covariance[:, : len(self.errors)] / self.prior
+            unmeasured = covariance[:, self.prior.parts] / self.prior.k
             widened = unmeasured @ unmeasured.T * unit
             return [covariance * unit + ((1.0 + error) ** 2 - 1.0) * widened for error in prior_errors]
         # a frame has no prior either, but it is always seen together with a known machine
@@ -238,7 +238,7 @@ class Linearisation:
 
     def _used(self, factors: Array) -> Array:
         """Return the degrees of freedom that the parameters use up in each kind of coordinate, given noise factors."""
-        if np.isinf(self.prior):
+        if np.isinf(self.prior.k):
             rows = self.rows * np.minimum(self.sigmas, UNKNOWN)
             u, s, _ = np.linalg.svd(rows.reshape(-1, len(self.sigmas)), full_matrices=False)
             leverages = u**2 @ (s > REGRESSOR_TOLERANCE * s.max(initial=0.0))
@@ -300,7 +300,7 @@ class Linearisation:
             factor = scipy.linalg.cho_factor(matrix, overwrite_a=True, check_finite=False)
             found = each * scipy.linalg.cho_solve(factor, each * self._targets.ravel(), check_finite=False)
             return np.asarray(self.sigmas**2 * (found @ self.rows.reshape(-1, count)))
-        if np.isfinite(self.prior):
+        if np.isfinite(self.prior.k):
             # with a prior the normal equations are well conditioned, and much faster to reweight
             rows, sigmas, basis = self._seen
             if basis is None:

@@ -34,12 +34,13 @@ from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.fit import Method
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.identifiability import Identifiability, seen_directions, stacked_regressor
-from pm3dof_pin.calibration.identification import PRIOR
+from pm3dof_pin.calibration.prior import PRIOR, Prior
 from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing
 from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.presets import nearly_free
 from pm3dof_pin.errors.sensitivity import Sensitivities
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError
@@ -133,7 +134,7 @@ class PlanningProblem:
         instrument: what is measured; full poses by default.
         eta: weight of the orientation in the tip error [m/rad].
         min_distance: see :data:`~pm3dof_pin.calibration.spacing.MIN_DISTANCE`.
-        prior: see :data:`~pm3dof_pin.calibration.identification.PRIOR`.
+        prior: see :data:`~pm3dof_pin.calibration.prior.PRIOR`.
         wrenches: known wrenches on the tool at each candidate, world axes, shape=(candidates, 6) [N, N m]; with them,
             the stiffness of the springs is unknown too, and the predicted tip error is that under such wrenches.
         sources: all sources of error, which determine where the machine is least sensitive; by default its geometry.
@@ -184,7 +185,7 @@ class PlanningProblem:
         tests = candidate_map if test_poses is None else error_map(errors, test_poses, eta=eta)
         self.measured, self.tested = (_PlannedPoses.under(each, wrenches) for each in (candidate_map, tests))
         self.prior = prior
-        self.sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
+        self.sigmas = np.concatenate([Prior(prior, nearly_free(errors)).sigmas, np.ones(len(elastic.names))])
         self._prior = np.diag(np.concatenate([self.sigmas, self.nuisances.sigmas]) ** -2.0)
         # base and tool are as the measurements define them, here all candidates
         shown = self.nuisances.datum_map()

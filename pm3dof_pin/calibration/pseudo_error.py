@@ -21,7 +21,7 @@ from pm3dof_pin.errors.command_correction import command_scales, descend, weight
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Indices
 
 SEEN = 0.02
 """Directions with a relative gain below this are treated as unobservable: deviations along them stay 0. On the
@@ -39,6 +39,18 @@ class SeenErrors:
     errors: Array  #: e, 0 along directions that are not shown, shape=(visits, 6) [m]
     covariances: Array  #: of e, from the measurements' noise, shape=(visits, 6, 6) [m^2]
     shown: Array  #: projections on the directions that are shown, as far as they count, shape=(visits, 6, 6)
+    rows: Array  #: derivatives of the measured coordinates by e, in their sigmas, shape=(n, coordinates, 6)
+    visits: Indices  #: number of the visit of each row, shape=(n,)
+
+    def by(self, derivatives: Array) -> Array:
+        """Return e by parameters, shape=(visits, 6, k), from the measured coordinates by them, in their sigmas.
+
+        These have shape=(n, coordinates, k). Of parameters that move the tool alike at all rows of a visit it is the
+        shown part of that motion.
+        """
+        pulls = np.zeros((len(self.errors), 6, derivatives.shape[2]))
+        np.add.at(pulls, self.visits, np.swapaxes(self.rows, 1, 2) @ derivatives)
+        return np.asarray(self.covariances @ pulls)
 
 
 def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> SeenErrors:
@@ -70,7 +82,7 @@ def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGT
     errors[:, free] = 0.0
     for matrices in (covariances, shown):
         matrices[:, free], matrices[:, :, free] = 0.0, 0.0
-    return SeenErrors(errors, covariances, shown)
+    return SeenErrors(errors, covariances, shown, rows, visits)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,10 @@ import numpy as np
 
 from pm3dof_pin.calibration.fit import Fit, Options, fit
 from pm3dof_pin.calibration.held_out import HeldOut
-from pm3dof_pin.calibration.identification import PRIOR, ROUGHLY, Identification, identify
+from pm3dof_pin.calibration.identification import ROUGHLY, Identification, identify
 from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.mistakes import Mistake, changes_in_the_middle, usual_mistakes
+from pm3dof_pin.calibration.prior import PRIOR
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.calibration.sag import sag_in_words
 from pm3dof_pin.calibration.scatter import COVERAGE
@@ -22,6 +23,7 @@ from pm3dof_pin.exceptions import PM3DofError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.typing import Array
 
 STRAIN = 2.0
 """Identified parameters beyond this, root mean square in units of their prior standard deviations, do not belong to a
@@ -130,17 +132,17 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
             f"has it, {off[worst]:.3g} standard deviations"
         )
     left = _left_over(calibration)
-    prior = found.prior if np.isfinite(found.prior) else PRIOR
+    prior = found.prior.k if np.isfinite(found.prior.k) else PRIOR
     expected = _possible_error(errors, found.measurements, calibration.options.eta, max(prior, 1.0))
     if left > expected:
         reasons.append(
             f"the residuals left by the parameters, {1e3 * left:.3g} mm (median), are larger than the machine could be "
             f"off, {1e3 * expected:.3g} mm; noise factor {found.noise_factor:.3g}"
         )
-    elif (size := _tolerances_off(found)) > STRAIN * found.prior:
+    elif _tolerances_off(found, found.prior.sigmas) > STRAIN:
         reasons.append(
-            f"the best-fitting parameters are {size:.3g} tolerances (root mean square) from the description: "
-            f"{_sag(calibration) or 'another machine, or another frame'}"
+            f"the best-fitting parameters are {_tolerances_off(found):.3g} tolerances (root mean square) from the "
+            f"description: {_sag(calibration) or 'another machine, or another frame'}"
         )
     if (chance := calibration.chance_of_harm) > 1.0 - COVERAGE:
         why = _noise_in_words(calibration) or (
@@ -157,7 +159,7 @@ def refusals(calibration: Fit, held_out: HeldOut | None) -> list[str]:
     elif held_out is not None and not held_out.before.max() > _EXACT:
         reasons.append("the poses match the description to the last digit: they were planned, not measured")
     elif held_out is not None:
-        before, after = (float(np.sqrt(np.mean(values**2))) for values in (held_out.before, held_out.after))
+        before, after = np.sqrt(np.mean(held_out.whole**2, axis=1)).tolist()
         if after**2 - before**2 >= _SURELY * held_out.chance:
             noise = _noise_in_words(calibration)
             noise = f"; {noise}" if noise and not any(noise in reason for reason in reasons) else ""
@@ -211,12 +213,12 @@ def _sag(calibration: Fit) -> str:
     return sag_in_words(errors, errors.robot.forward(calibration.measurements.visits.commands[:_POSES]), eta)
 
 
-def _tolerances_off(found: Identification) -> float:
-    """Return how far the parameters are from the description, in tolerances.
+def _tolerances_off(found: Identification, each: Array | float = 1.0) -> float:
+    """Return how far the parameters are from the description, in so many tolerances of each, shape=(parameters,).
 
     Root mean square over the combinations that the measurements determine.
     """
-    scaled = found.values / found.errors.tolerances
+    scaled = found.values / (each * found.errors.tolerances)
     determined = len(scaled) - float(np.sum(found.shrinkage**2))
     return float(np.sqrt(np.sum(scaled**2) / max(determined, 1.0)))
 
@@ -295,7 +297,7 @@ def _change_in_the_middle(calibration: Fit) -> str:
     shown, poses = found.settled[found.trusted], found.poses[found.trusted]
     for mistake in changes_in_the_middle(shown, poses, options.eta):
         corrected = replace(mistake.corrected, lines=shown.lines)
-        again = identify(corrected, found.errors, prior=found.prior, loss=options.loss, precision=ROUGHLY)
+        again = identify(corrected, found.errors, prior=found.prior.k, loss=options.loss, precision=ROUGHLY)
         if again.noise_factor < _HALF * found.noise_factor:
             fitting.append((again.noise_factor, mistake.text))
     least = min((noise for noise, _ in fitting), default=0.0)

@@ -201,7 +201,7 @@ def _parameters(found: Identification, picture: Figure) -> list[str]:
         "<h2>Identified parameters</h2>",
         f"<p>{found.identifiability.identified} combinations of {len(found.identifiability.names)} parameters are "
         "known better than their tolerances. The grey band is the tolerance; before the measurements the standard "
-        f"deviation was {found.prior:g} tolerances.{some}</p>",
+        f"deviation was {found.prior.k:g} tolerances.{some}</p>",
         f"<ul>{remarks}</ul>",
         "<p>The first sigma is what the data say, given their noise and the tolerances. The second adds what they "
         "cannot tell: smooth effects that no parameter describes, hidden in the noise, may shift the parameters by as "

@@ -363,7 +363,7 @@ def row(case: Case, found: Identification, compared: Compared, scatter: Scatter)
         "richness": richness,
         "setup": setup,
         "method": method,
-        "prior": round(found.prior, 2),
+        "prior": round(found.prior.k, 2),
         "noise_factor": round(found.noise_factor, 3),
         **{f"{name}_um": micrometres(values) for name, values in sizes.items()},
         "expected_um": micrometres(compared.expected),

@@ -15,8 +15,9 @@ import numpy as np
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.caution import Gain
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
-from pm3dof_pin.calibration.identification import PRIOR, Identification
+from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.linearisation import Linearisation, tool_motions_by_drives
+from pm3dof_pin.calibration.prior import PRIOR, Prior
 from pm3dof_pin.calibration.pseudo_error import control_inverse, seen_errors
 from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
@@ -60,7 +61,7 @@ class Station:
 
 
 def _at_the_description(
-    station: Station, measurements: Measurements, prior: float, known: np.ndarray | None
+    station: Station, measurements: Measurements, prior: Prior, known: np.ndarray | None
 ) -> Linearisation:
     """Return measurements' residuals against the machine as described, linear in all parameters.
 
@@ -88,21 +89,21 @@ def _at_the_description(
     )
 
 
-def _solved(problem: Linearisation, prior_error: float) -> Identification:
-    return Identification.from_fit(problem, problem.robust("tukey", None), "tukey", prior_error, 1)
+def _solved(problem: Linearisation) -> Identification:
+    return Identification.from_fit(problem, problem.robust("tukey", None), "tukey", 1)
 
 
 def identified(station: Station, measurements: Measurements) -> Identification:
     """Identify parameters from measurements at the poses of a station."""
-    prior, error, known = PRIOR, 0.0, None
+    prior, known = Prior(PRIOR, nearly_free(station.errors)), None
     for _ in range(_ROUNDS):
-        found = _solved(_at_the_description(station, measurements, prior, known), error)
+        found = _solved(_at_the_description(station, measurements, prior, known))
         frame, known = found.nuisances.columns("frame"), found.nuisance_values.copy()
         if frame.size:
             measurements = measurements.in_moved_base(known[frame])
             known[frame] = 0.0
-        if prior == PRIOR:
-            prior, error = found.likely_prior(nearly_free(station.errors))
+        if prior.k == PRIOR:
+            prior = found.likely_prior()
     return replace(found, measurements=measurements, nuisance_values=known)
 
 
@@ -162,19 +163,18 @@ def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, 
     seen = seen_errors(whole.settled, station.poses)
     weights = np.tile(np.diag(1.0 / tip_weights(TIP_LENGTH)), (len(measurements), 1, 1))
     by_tool = whole.settled.derivatives(whole.poses, weights) / measurements.sigmas[:, :, None]
-    missed, uncertain = np.zeros((count, 6)), np.zeros((count, 6, 6))
+    missed, uncertain, effects = np.zeros((count, 6)), np.zeros((count, 6, 6)), seen.by(whole.rows)
     for fold in range(_FOLDS):
         shown, hidden = folds[numbers] != fold, folds[numbers] == fold
-        again = _solved(whole[shown], found.prior_error)
+        again = _solved(whole[shown])
         left = whole[hidden].left_over(again.scaled_values)
         pulls = np.zeros((count, 6))
         np.add.at(pulls, numbers[hidden], np.einsum("nij,ni->nj", by_tool[hidden], left))
         own = folds == fold
         missed[own] = np.einsum("nij,nj->ni", seen.covariances[own], pulls[own])
-        covariance = again.seen_covariance
-        effects = station.effects[own][:, :, : len(covariance)]
-        uncertain[own] = effects @ covariance @ np.swapaxes(effects, 1, 2)
-    known = seen.covariances + seen.shown @ uncertain @ seen.shown
+        covariance = again.known_covariance / np.outer(again.units, again.units)
+        uncertain[own] = effects[own] @ covariance @ np.swapaxes(effects[own], 1, 2)
+    known = seen.covariances + uncertain
     given = (missed, known, seen.shown, station.control, units)
     scatter, sure = Scatter.from_errors(*given), Scatter.from_errors(*given, least=1.0)
     gains = control_inverse(station.control)

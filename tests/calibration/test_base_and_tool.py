@@ -45,7 +45,8 @@ def _expected(kind: str, shift: float) -> tuple[Expectation, float, float]:
     seen = world.measure(poses.commands, generator, replace(instrument, targets=as_points(targets + common)))
     seen = seen.with_points(seen.points - common)
     found = calibrate(seen, errors, "lm", on_refusal="keep")
-    prior, stretch = found.identification.prior * errors.tolerances[0], 1.0 + 2.0 * found.identification.prior_error
+    prior = found.identification.prior.k * errors.tolerances[0]
+    stretch = 1.0 + 2.0 * found.identification.prior.error
     mean = TARGET_SIGMA / np.sqrt(len(targets))
 
     def unseen(tool: float) -> float:
@@ -105,8 +106,8 @@ def test_a_stylus_makes_no_tool_less_certain_than_its_parts() -> None:
         rows = world.measure(poses.commands, np.random.default_rng(4), gauge)
         found = calibrate(rows, errors, "lm", on_refusal="keep")
         told.append(np.sqrt(sum(value**2 for value in found.expectation.budget.values())))
-        identified = found.identification
-        worst = identified.prior * (1.0 + 2.0 * identified.prior_error)
+        prior = found.identification.prior
+        worst = prior.k * (1.0 + 2.0 * prior.error)
         assert told[-1] < worst * np.sqrt(np.mean(error_map(errors, poses).tip_rms ** 2))
         assert "of the tool as its targets show it" not in found.expectation.text
         problem = PlanningProblem(errors, poses, instrument=gauge)

@@ -12,12 +12,14 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, multivariate_normal
 
-from pm3dof_pin.calibration.identification import PRIOR, Identification, identify
+from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.linearisation import Linearisation
 from pm3dof_pin.calibration.planning import PlanningProblem
+from pm3dof_pin.calibration.prior import PRIOR, Prior
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.errors.presets import with_free_zeros
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
@@ -198,7 +200,7 @@ def test_parameters_use_up_the_trace_of_the_hat_matrix(count: int) -> None:
     kinds, factors = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([1.0, 5.0])
     design = design / np.tile(kinds @ factors, count)[:, None]  # rows of more noise are weighted less
     hat = design @ np.linalg.inv(design.T @ design + np.diag(sigmas**-2)) @ design.T
-    problem = SimpleNamespace(prior=PRIOR, rows=rows, kinds=kinds, sigmas=sigmas)
+    problem = SimpleNamespace(prior=Prior(PRIOR, np.zeros(4, dtype=bool)), rows=rows, kinds=kinds, sigmas=sigmas)
     problem._informations = Linearisation._informations.func(problem)  # type: ignore[attr-defined]
     problem._gram = Linearisation._gram.func(problem)  # type: ignore[attr-defined]
     assert (problem._gram is None) == (count > 1)
@@ -226,14 +228,14 @@ def test_the_prior_from_data_is_the_most_likely_one(true: float) -> None:
     rows = generator.standard_normal((20, 3, 31)) * np.geomspace(0.05, 3.0, 31)
     free = np.isin(np.arange(30), [23, 25, 27, 29])
     scaled = (rows * np.sqrt(weights)[:, None, None] / factor).reshape(60, 31)
-    sigmas = np.append(np.full(30, PRIOR), np.inf)
+    sigmas = np.append(np.where(free, 1.0, PRIOR), np.inf)
     truth = np.append(np.where(free, 0.01, true), 1.0) * generator.standard_normal(31)
     seen = scaled @ truth + generator.standard_normal(60)
     design, others = scaled[:, :30][:, ~free], scaled[:, np.append(free, True)]
     found = SimpleNamespace(
         errors=_Thirty(),
         values=np.linalg.solve(scaled.T @ scaled + np.diag(1.0 / sigmas**2), scaled.T @ seen)[:30],
-        prior=PRIOR,
+        prior=Prior(PRIOR, free),
         rows=rows,
         weights=weights,
         noise_factors=np.full(3, factor),
@@ -246,12 +248,12 @@ def test_the_prior_from_data_is_the_most_likely_one(true: float) -> None:
         return 2.0 * (np.log(k**2) + k**-2) - multivariate_normal.logpdf(seen, cov=covariance)
 
     wanted = minimize_scalar(unlikely, bounds=(0.05, PRIOR), method="bounded").x
-    k, error = Identification.likely_prior(found, free)  # type: ignore[arg-type]
-    assert k == pytest.approx(wanted, abs=0.01)
+    likely = Identification.likely_prior(found)  # type: ignore[arg-type]
+    assert likely.k == pytest.approx(wanted, abs=0.01)
     # of a standard deviation from as many parameters as the trace of the hat matrix says, and four
     information = design.T @ design
     told = np.trace(np.linalg.solve(information + np.eye(26) / wanted**2, information))
-    assert error == pytest.approx(1.0 / np.sqrt(2.0 * (told + 4.0)), rel=0.01)
+    assert likely.error == pytest.approx(1.0 / np.sqrt(2.0 * (told + 4.0)), rel=0.01)
 
 
 def test_smooth_effects_hidden_in_the_noise_shift_parameters_by_less_than_a_sigma(
@@ -271,16 +273,21 @@ def test_smooth_effects_hidden_in_the_noise_shift_parameters_by_less_than_a_sigm
         assert np.abs((again.values - found.values) / found.sigmas).max() < 1.0
 
 
-def test_a_wider_prior_widens_what_was_not_measured(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    """By the law of total variance: machines of random k between fits of one k, and the effect of noise on each."""
-    exact = simulated(tripod_errors, tripod_errors.zeros, tripod_nominal[:6])
-    known = identify(exact, tripod_errors, prior=1.0, loss="squares")
-    wider = identify(exact, tripod_errors, prior=1.0, prior_error=0.5, loss="squares")
-    scaled = known.rows.reshape(-1, known.rows.shape[2])
-    gain = np.linalg.solve(scaled.T @ scaled + np.eye(scaled.shape[1]), scaled.T)
-    missed = np.eye(len(gain)) - gain @ scaled  # of a machine, without noise
-    units = np.outer(tripod_errors.tolerances, tripod_errors.tolerances)
-    expected = (gain @ gain.T + 1.5**2 * missed @ missed.T) * units
+def test_a_wider_prior_widens_what_was_not_measured_of_the_parts(tripod_nominal: Poses) -> None:
+    """By the law of total variance: machines of random k between fits of one k, and the effect of noise on each.
+
+    Zeros of the drives known to 5 mm are as far off whatever k is.
+    """
+    errors = with_free_zeros(GeometricErrors.load("pm3dof"))
+    exact = simulated(errors, errors.zeros, tripod_nominal[:6])
+    known = identify(exact, errors, prior=0.7, loss="squares")
+    wider = identify(exact, errors, prior=0.7, prior_error=0.5, loss="squares")
+    free = np.array([parameter.group == "zeros" for parameter in errors.parameters])
+    assert free.sum() == 4
+    scaled, sigmas = known.rows.reshape(-1, known.rows.shape[2]), np.where(free, 1.0, 0.7)
+    gain = np.linalg.solve(scaled.T @ scaled + np.diag(sigmas**-2.0), scaled.T)
+    missed = (np.eye(len(gain)) - gain @ scaled) * np.where(free, 1.0, 1.5 * 0.7)  # of a machine, without noise
+    expected = (gain @ gain.T + missed @ missed.T) * np.outer(errors.tolerances, errors.tolerances)
     np.testing.assert_allclose(wider.covariance, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
 
 
@@ -290,7 +297,7 @@ def test_a_direction_is_told_down_to_rounding(weak: float, told: bool) -> None:
     problem = SimpleNamespace(
         rows=np.diag(np.sqrt([1.0, weak]))[None],
         units=np.ones(2),
-        prior=np.inf,
+        prior=Prior(np.inf, np.zeros(2, dtype=bool)),
         sigmas=np.full(2, np.inf),
     )
     covariance = Linearisation.covariances(problem, np.ones((1, 2)), [1.0])[0]  # type: ignore[arg-type]
@@ -308,8 +315,7 @@ def test_a_covariance_stays_one_however_little_is_known(seed: int) -> None:
         rows=((left * sizes) @ right.T)[:, None],
         units=np.ones(count),
         sigmas=np.full(count, PRIOR),
-        prior=PRIOR,
-        errors=range(count),
+        prior=Prior(PRIOR, np.zeros(count, dtype=bool)),
     )
     (found,) = Linearisation.covariances(problem, np.ones((count, 1)), (0.0,))  # type: ignore[arg-type]
     expected = (right / (sizes**2 + PRIOR**-2)) @ right.T

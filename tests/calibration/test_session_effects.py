@@ -12,8 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
-from pm3dof_pin.calibration.held_out import _scores_of
-from pm3dof_pin.calibration.session_effects import TIME_COLUMN, SessionEffects, approaches_along
+from pm3dof_pin.calibration.session_effects import TIME_COLUMN, approaches_along
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 
@@ -92,28 +91,6 @@ def test_drift_counts_unless_the_time_is_given() -> None:
     corrected, _ = left_over(machine, calibration, {TIME_COLUMN: DURATION}, DURATION)
     assert rms(corrected) < 0.4 * rms(late)
     assert calibration.expectation.budget["drift"] > 0.5 * np.linalg.norm(machine.motion) / np.sqrt(12.0)
-
-
-def test_held_out_poses_count_their_uncertainty() -> None:
-    """The settled poses scatter by draws of hysteresis and drift as their part of the covariance says."""
-    calibration, generator = Sloppy(1, 20e-6, 10e-6).calibrated(timed=True), np.random.default_rng(2)
-    found, compensation = calibration.identification, calibration.compensation
-    draws = np.tile(found.nuisance_values, (400, 1))
-    for kind in ("hysteresis", "drift"):
-        root = np.linalg.cholesky(found.nuisance_covariance(kind))
-        draws[:, found.nuisances.columns(kind)] += generator.standard_normal((400, len(root))) @ root.T
-    rows = found.measurements[:10]
-    poses = found.settle(rows)
-    settled = [replace(found, nuisance_values=values).settle(rows) for values in draws]
-    shifts = np.array([each.positions - poses.positions for each in settled])
-    sampled = np.einsum("dni,dni->n", shifts, shifts) / len(draws)
-    counted, bare = (
-        _scores_of(each, poses, each).covariances
-        for each in (compensation, replace(compensation, session=SessionEffects()))
-    )
-    promised = np.einsum("nii->n", (counted - bare)[:, :3, :3])
-    np.testing.assert_allclose(sampled, promised, rtol=0.25)
-    assert sampled.mean() == pytest.approx(promised.mean(), rel=0.1)
 
 
 def test_a_folder_keeps_them(run: Callable[..., Any], tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from pm3dof_pin.calibration.refusals import refusals
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.errors.presets import with_free_zeros
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -89,6 +90,20 @@ def test_the_budget_adds_up(judgement: Expectation, calibration: Fit, tripod_nom
     assert total == pytest.approx(np.sqrt(np.mean(expected**2)), rel=0.1)  # over other poses of the workspace
     assert judgement.budget["floor"] > judgement.budget["instrument"] > 0.0
     assert judgement.budget["frame"] < 1e-9
+
+
+def test_the_budget_adds_up_where_zeros_are_free(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
+    """Three heights leave most of the zeros to their tolerance, which the scale of the others leaves as it is."""
+    errors, poses = with_free_zeros(tripod_errors), tripod_nominal[:3]
+    reached = tripod_errors.apply(0.5 * tripod_errors.sample(np.random.default_rng(1))).forward(poses.commands)
+    seen = Measurements.from_poses(poses.commands, reached.transforms)
+    heights = replace(seen, rotations=None, sigmas=np.tile([np.inf, np.inf, 1e-5], (3, 1)))
+    found = fit(heights, errors, Options("lm"))
+    assert found.identification.prior.error > 0.2
+    judged = Expectation.from_fit(found)
+    total = np.sqrt(sum(value**2 for value in judged.budget.values()))
+    answer = found.compensation.compensate(reachable_poses(errors.robot, 2000, np.random.default_rng(0)))
+    assert total == pytest.approx(np.sqrt(np.mean(answer.predicted_error**2)), rel=0.01)
 
 
 def test_repeated_poses_tell_the_scatter(judgement: Expectation) -> None:
@@ -164,6 +179,26 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     assert 0.1 < found.part_corrected < 0.95
     assert not any("worse than uncorrected ones" in reason for reason in refusals(found, None))
     assert fit(measured, tripod_errors, Options("lm")).chance_of_harm < 1e-6
+
+
+def test_commands_of_few_drives_may_increase_what_is_seen() -> None:
+    """Three drives correct the whole tip, and two tilts that a level shows may grow: the machine is better for it."""
+    errors, generator = GeometricErrors.load("three_rps"), np.random.default_rng(4)
+    machine = errors.apply(errors.sample(generator))
+    poses, wanted = (reachable_poses(errors.robot, 40, np.random.default_rng(seed)) for seed in (0, 1))
+    seen = Measurements.from_poses(poses.commands, machine.forward(poses.commands, guess=poses.q).transforms)
+    tilts = replace(seen, sigmas=np.tile([*[np.inf] * 3, 1e-6, 1e-6, np.inf], (40, 1)))
+    found = calibrate(tilts, errors, "lm")
+    before, after = (
+        tip_error(pose_difference(wanted.transforms, machine.forward(commands, guess=wanted.q).transforms))
+        for commands in (wanted.commands, found.compensate(wanted).commands)
+    )
+    assert np.mean(after**2) < 0.7 * np.mean(before**2)
+    held_out = found.held_out
+    assert held_out is not None
+    assert np.mean(held_out.after**2) > 2.0 * np.mean(held_out.before**2)
+    gained = np.mean(held_out.whole[0] ** 2 - held_out.whole[1] ** 2)
+    assert gained == pytest.approx(np.mean(before**2 - after**2), rel=0.3)  # of other poses
 
 
 def test_sigmas_that_are_too_small_are_one_of_two_explanations() -> None:
