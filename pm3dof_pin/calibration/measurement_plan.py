@@ -63,7 +63,7 @@ CANDIDATES = 2000
 """Number of random poses to choose from."""
 FEWER_CANDIDATES = 500
 """The same for robots of more than :data:`MANY_PARAMETERS`, where exchanging and judging one takes long."""
-MANY_PARAMETERS = 300
+MANY_PARAMETERS = 200
 
 _STARTS, _FEWER_STARTS = 10, 3  # of exchanging poses, of robots of few parameters and of many
 _TESTS = 300

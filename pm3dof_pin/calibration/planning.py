@@ -202,6 +202,7 @@ class PlanningProblem:
             effects = np.asarray(np.linalg.qr(effects, mode="r"))  # of the same squares
         self._effects, self._tip = effects, effects.T @ effects
         self._spacing = Spacing(candidates, min_distance, touching=self.instrument.stops)
+        self._exchanges: dict[tuple[type[Criterion], tuple[int, ...]], Indices] = {}
 
     @cached_property
     def least_sensitive(self) -> Mask:
@@ -366,6 +367,13 @@ class PlanningProblem:
         return best
 
     def _exchanged(self, start: Indices, criterion: Criterion) -> Indices:
+        """Return what exchanging leads to from a start; strategies, and rehearsals of a plan, have starts in common."""
+        key = type(criterion), tuple(start.tolist())
+        if key not in self._exchanges:
+            self._exchanges[key] = self._exchange(start, criterion)
+        return self._exchanges[key]
+
+    def _exchange(self, start: Indices, criterion: Criterion) -> Indices:
         chosen, (rows, directions) = start.copy(), self._visible
         tip = criterion.tip
         if directions is not None and tip is not None:
