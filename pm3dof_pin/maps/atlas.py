@@ -9,6 +9,7 @@ blocks were computed. Only one run at a time works on an atlas.
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import errno
 import hashlib
@@ -57,6 +58,9 @@ _BLOCK_POSES = 131_072
 _SCHEDULER_PATIENCE = "10s"
 _WORKER_PATIENCE = 10.0  # s
 _POLL = 0.01  # s
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of the C library's mallopt
+_KEPT_MEMORY = 2**25  # bytes of an array that is freed, the most that the C library takes
+_BATCHES, _MAX_BATCH = 8, 16  # tasks for each worker of a cluster, and blocks in one, at most
 _CLUSTER_LOGS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
 _SILENT = logging.CRITICAL + 1
 
@@ -336,6 +340,17 @@ def _compute_block(atlas: Atlas, block: Block) -> Block:
     return block
 
 
+def _compute_blocks(atlas: Atlas, blocks: Sequence[Block]) -> list[Block]:
+    """Compute several blocks on a worker of a cluster, where a task takes some milliseconds whatever it does.
+
+    Dask's workers return memory to the system whenever some is freed, and clear it again for the next block.
+    """
+    if hasattr(library := ctypes.CDLL(None), "mallopt"):
+        library.mallopt(_MMAP_THRESHOLD, _KEPT_MEMORY)
+        library.mallopt(_TRIM_THRESHOLD, 4 * _KEPT_MEMORY)
+    return [_compute_block(atlas, block) for block in blocks]
+
+
 def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Iterator[Block]:
     """Run the blocks on threads (programs and writes release the interpreter lock), a few ahead at a time."""
     count = threads or processors()
@@ -385,12 +400,15 @@ def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterato
     try:
         # once to each worker, which keeps what the first block found out about the robot
         kept: Any = cluster.scatter(absolute, broadcast=True, hash=False)  # type: ignore[no-untyped-call]
-        futures = [cluster.submit(_compute_block, kept, block, pure=False) for block in todo]
+        workers = len(cluster.scheduler_info()["workers"])
+        size = min(_MAX_BATCH, max(1, len(todo) // (_BATCHES * max(workers, 1))))
+        batches = [todo[first : first + size] for first in range(0, len(todo), size)]
+        futures = [cluster.submit(_compute_blocks, kept, batch, pure=False) for batch in batches]
         ready = as_completed(futures)  # type: ignore[no-untyped-call]
         idle = time.monotonic()
         while not ready.is_empty():  # type: ignore[no-untyped-call]
             for future in ready.next_batch(block=False):  # type: ignore[no-untyped-call]
-                yield future.result()
+                yield from future.result()
                 idle = time.monotonic()
             time.sleep(_POLL)
             if time.monotonic() - idle > _WORKER_PATIENCE:

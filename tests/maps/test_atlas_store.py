@@ -306,6 +306,9 @@ def test_a_cluster_that_dies_is_one_line(robot: Robot, tmp_path: Path, monkeypat
         def __init__(self, *_: object, **__: object) -> None: ...
         def scatter(self, *_: object, **__: object) -> None: ...
         def submit(self, *_: object, **__: object) -> None: ...
+        def scheduler_info(self) -> dict[str, object]:
+            return {"workers": {}}
+
         def close(self, **_: object) -> None:
             raise TimeoutError
 
