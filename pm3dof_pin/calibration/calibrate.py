@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import require_kind
@@ -21,6 +22,8 @@ from pm3dof_pin.calibration.fit import Options as Options
 from pm3dof_pin.calibration.folder import summary_of, write_calibration
 from pm3dof_pin.calibration.heat import as_if_cold
 from pm3dof_pin.calibration.held_out import HeldOut
+from pm3dof_pin.calibration.identification import ROUGHLY, Identification, identify
+from pm3dof_pin.calibration.prior import PRIOR
 from pm3dof_pin.calibration.refusals import doubts, likely_cause, refusals
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
@@ -48,7 +51,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 _FAILURES = (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError)
-_CLEARLY = 0.95  # ratio of noise factors from which unknown zeros are what residuals come from
+_CLEARLY = float(np.log(20.0))  # logarithm of how much likelier rows are from which zeros are taken as unknown
 _SAID = 0.02  # tolerances from which the zero of a drive is named
 _WITHIN = 0.5  # least fraction of the validation poses within their bounds
 _LISTED = 10  # parameters named in a warning
@@ -130,9 +133,9 @@ def calibrate(
 
     Parameters are identified and a correction learned (:func:`~pm3dof_pin.calibration.fit.fit`), then evaluated on
     measured poses held out in turn. Error parameters with which the loops cannot close are left out, and, where the fit
-    fails, rows at which a machine out of tolerance cannot be assembled. If no error file
-    says how well the drives' zeros are known, they are taken as unknown where the result would be refused otherwise, or
-    where that explains residuals beyond the noise.
+    fails, rows at which a machine out of tolerance cannot be assembled. If no error file says how well the drives'
+    zeros are known, they are taken as unknown where that makes the measurements twenty times as likely, or where the
+    result would be refused otherwise.
 
     Example:
         >>> import numpy as np
@@ -251,31 +254,45 @@ class _Judged(NamedTuple):
 def _best_judged(seen: Measurements, errors: GeometricErrors, options: Options, *, undeclared: bool) -> _Judged:
     """Fit and judge; raises as :func:`fit`.
 
-    With undeclared tolerances, nobody said that the drives are homed to absolute marks: their zeros are free if that
-    leaves clearly smaller residuals, where these are not noise, or if something speaks against the fit otherwise.
+    With undeclared tolerances, nobody said that the drives are homed to absolute marks: their zeros are free if the
+    measurements are more likely so by :data:`_CLEARLY`, or if something speaks against the fit otherwise.
     """
-    first, other = fit(seen, errors, options, quiet=True), None
-    if undeclared and not first.scatters:
-        other = _with_free_zeros(seen, errors, options, first)
-        if other is not None and not other.against:
-            return other
-    judged = _judged(first)
-    if undeclared and judged.against and other is None:
-        other = _with_free_zeros(seen, errors, options)
+    if not undeclared:
+        return _judged(fit(seen, errors, options, quiet=True))
+    first, free = _roughly(seen, errors, options), None
+    with contextlib.suppress(*_FAILURES):
+        free = _roughly(seen, with_free_zeros(errors), options)
+    likelier = free is not None and _odds(free, first, options) > _CLEARLY
+    other = _with_free_zeros(seen, errors, options, free) if likelier else None
+    if other is not None and not other.against:
+        return other
+    judged = _judged(fit(seen, errors, options, first=first, quiet=True))
+    if judged.against and free is not None and not likelier:
+        other = _with_free_zeros(seen, errors, options, free)
     return judged if other is None or other.against else other
 
 
-def _with_free_zeros(
-    seen: Measurements, errors: GeometricErrors, options: Options, first: Fit | None = None
-) -> _Judged | None:
-    """Fit with free zeros of the drives, and judge; None if that fails, or leaves no smaller residuals than the first.
+def _roughly(seen: Measurements, errors: GeometricErrors, options: Options) -> Identification:
+    prior = PRIOR if options.prior is None else options.prior
+    return identify(seen, errors, prior=prior, loss=options.loss, precision=ROUGHLY)
 
-    Such residuals are smaller by :data:`_CLEARLY`.
-    """
+
+def _odds(one: Identification, other: Identification, options: Options) -> float:
+    """Return the logarithm of how much more likely one makes the rows that are outliers of neither."""
+    rows = np.intersect1d(one.trusted, other.trusted)
+    ours, theirs = (
+        found.log_evidence(found.likely_prior() if options.prior is None else found.prior, rows)
+        for found in (one, other)
+    )
+    return ours - theirs
+
+
+def _with_free_zeros(
+    seen: Measurements, errors: GeometricErrors, options: Options, first: Identification | None = None
+) -> _Judged | None:
+    """Fit with free zeros of the drives, and judge; None if that fails."""
     with contextlib.suppress(*_FAILURES):
-        other = fit(seen, with_free_zeros(errors), options, quiet=True)
-        if first is None or other.identification.noise_factor < _CLEARLY * first.identification.noise_factor:
-            return _judged(other)
+        return _judged(fit(seen, with_free_zeros(errors), options, first=first, quiet=True))
     return None
 
 

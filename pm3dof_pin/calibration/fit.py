@@ -47,8 +47,8 @@ class Options:
     method: Method = "lm+gp"
     seed: int = 0  #: random seed of networks and folds
     eta: float = TIP_LENGTH  #: weight of the orientation in the tip error [m/rad]
-    #: prior standard deviation of the parameters, in units of their tolerances; None for the value, from 1 to 3, under
-    #: which the measurements are most likely
+    #: prior standard deviation of the parameters but nearly free zeros of drives, in units of their tolerances; None
+    #: for the value, up to 3, under which the measurements are most likely
     prior: float | None = None
     loss: Loss = "tukey"  #: loss of the identification
 

@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE, Identifiability
-from pm3dof_pin.calibration.linearisation import Linearisation, Loss, RobustFit
+from pm3dof_pin.calibration.linearisation import UNKNOWN, Linearisation, Loss, RobustFit
 from pm3dof_pin.calibration.prior import PRIOR, Prior
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
@@ -299,6 +300,25 @@ class Identification:
             if abs(k - previous) < 1e-3:
                 break
         return replace(self.prior, k=k, error=float(1.0 / np.sqrt(2.0 * (effective + _BELIEVED))))
+
+    def log_evidence(self, prior: Prior, rows: Indices) -> float:
+        """Return the logarithm of the likelihood of some rows, averaged over all parameters by a prior.
+
+        It is ln p(y) of y ~ N(0, F + A S A^T), with the noise F found, the derivatives A and the prior S, and that of
+        k, for which the tolerances' own value counts as in :meth:`likely_prior`. Constants that depend on the
+        measurements alone are left out: compare the same rows.
+        """
+        seen = self.measurements.seen[rows]
+        noise = np.broadcast_to(self.noise_factors, seen.shape)[seen]
+        scaled = self.rows[rows][seen] / noise[:, None]
+        off = self.normalized_residuals[rows][seen] / noise + scaled @ self.scaled_values
+        expected = np.concatenate([prior.sigmas, np.ones(len(self.elastic.names)), self.nuisances.sigmas])
+        effects = scaled * np.minimum(expected, UNKNOWN)
+        factor = np.linalg.cholesky(np.eye(effects.shape[1]) + effects.T @ effects)
+        amounts = scipy.linalg.cho_solve((factor, True), effects.T @ off, check_finite=False)
+        misfit = np.sum((off - effects @ amounts) ** 2) + np.sum(amounts**2)
+        known = _BELIEVED * (np.log(prior.k) + 0.5 / prior.k**2) if np.isfinite(prior.k) else 0.0
+        return float(-0.5 * misfit - np.sum(np.log(np.diag(factor))) - np.sum(np.log(noise)) - known)
 
 
 def identify(

@@ -64,8 +64,8 @@ def calibrate(
     prior: Annotated[
         float | None,
         typer.Option(
-            help="Prior standard deviation of the parameters, in units of their tolerances; by default the most likely "
-            "value from 1 to 3, given the measurements."
+            help="Prior standard deviation of the parameters but nearly free zeros of drives, in units of their "
+            "tolerances; by default the most likely value up to 3, given the measurements."
         ),
     ] = None,
     loss: Annotated[

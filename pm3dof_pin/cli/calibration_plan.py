@@ -93,7 +93,11 @@ def calibration_plan(
         typer.Option(min=0.0, help="Least distance between poses: rms of command differences divided by their ranges."),
     ] = 0.05,
     prior: Annotated[
-        float, typer.Option(help="Prior standard deviation of the parameters, in units of their tolerances.")
+        float,
+        typer.Option(
+            help="Prior standard deviation of the parameters but nearly free zeros of drives, in units of their "
+            "tolerances."
+        ),
     ] = 3.0,
     seed: Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives the same plan.")] = 0,
     picture: Annotated[

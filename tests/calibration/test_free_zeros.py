@@ -1,4 +1,4 @@
-"""An arm whose drives were never homed to marks: its zeros are off by tens of milliradians."""
+"""Machines whose drives were never homed to marks: zeros are off by tens of milliradians, or millimetres."""
 
 from __future__ import annotations
 
@@ -69,3 +69,18 @@ def test_a_validation_of_the_same_session_sees_the_same_targets() -> None:
     assert not any("station" in warning for warning in calibration.warnings)
     assert calibration.validation is not None
     assert calibration.validation.within > 0.85
+
+
+@pytest.mark.parametrize("off", [0.0, 3e-3])
+def test_zeros_that_residuals_hide_are_weighed(off: float) -> None:
+    """Of a delta everything else shifts the tool alike: the zeros leave only noise, and parts far out of tolerance."""
+    errors, generator = pm.GeometricErrors(pm.load("linear_delta")), np.random.default_rng(2)
+    machine, zeros = errors.apply(errors.sample(generator)), off * np.array([1.0, -1.0, 0.5])
+    commands = pm.reachable_poses(errors.robot, 25, generator).commands
+    seen = pm.Measurements.from_poses(commands, machine.forward(commands + zeros).transforms, Instrument("position"))
+    seen = replace(seen, positions=seen.positions + 1e-5 * generator.standard_normal(seen.positions.shape))
+    calibration = pm.calibrate(seen, errors, "lm", on_refusal="keep")
+    freed = any("taken as unknown" in warning for warning in calibration.warnings)
+    assert freed == (off > 0.0)
+    assert calibration.identification.noise_factor < 1.5
+    assert calibration.identification.prior.k < 2.0

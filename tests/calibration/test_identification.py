@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import null_space
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import chi2, multivariate_normal, norm
 
 from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.linearisation import Linearisation
@@ -289,6 +289,28 @@ def test_a_wider_prior_widens_what_was_not_measured_of_the_parts(tripod_nominal:
     missed = (np.eye(len(gain)) - gain @ scaled) * np.where(free, 1.0, 1.5 * 0.7)  # of a machine, without noise
     expected = (gain @ gain.T + missed @ missed.T) * np.outer(errors.tolerances, errors.tolerances)
     np.testing.assert_allclose(wider.covariance, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("k", [0.5, 2.0])
+@pytest.mark.parametrize("loud", [1.0, 5.0])
+def test_the_evidence_is_the_density_of_the_rows(tripod_nominal: Poses, k: float, loud: float) -> None:
+    """Rows are normal with the variance of noise and prior; k is as if four parts of one tolerance had been measured.
+
+    Values are seen from an expansion about the values found; constants do not count.
+    """
+    errors = with_free_zeros(GeometricErrors.load("pm3dof"))
+    truth = errors.sample(np.random.default_rng(2))
+    rows, chosen = simulated(errors, truth, tripod_nominal[:12], seed=4), np.array([0, 2, 3, 7, 11])
+    found = identify(replace(rows, sigmas=rows.sigmas / loud), errors, loss="squares")
+    assert (found.noise_factor > 2.0) == (loud > 2.0)
+    effects = found.rows[chosen].reshape(-1, found.rows.shape[2])
+    off = found.normalized_residuals[chosen].ravel() + effects @ (found.values / errors.tolerances)
+    sigmas = np.where([parameter.group == "zeros" for parameter in errors.parameters], 1.0, k)
+    variance = np.diag(np.tile(found.noise_factors**2, len(chosen))) + (effects * sigmas**2) @ effects.T
+    expected = multivariate_normal(np.zeros(len(off)), variance).logpdf(off) + 4.0 * norm(0.0, k).logpdf(1.0)
+    constant = -0.5 * (len(off) + 4) * np.log(2.0 * np.pi)
+    prior = Prior(k, found.prior.free)
+    assert found.log_evidence(prior, chosen) == pytest.approx(expected - constant, rel=1e-7)
 
 
 @pytest.mark.parametrize(("weak", "told"), [(1e-13, True), (1e-16, False)])
