@@ -191,11 +191,13 @@ def compensation_from(
     options: Options,
     identification: Identification | None,
     gain: Gain | None = None,
+    similar: LearnedPart | None = None,
 ) -> Compensation:
     """Combine identified parameters (None for the robot as described) with a part learned from measurements.
 
     The parameters' correction is reduced to what is certain enough: see :mod:`pm3dof_pin.calibration.caution`. Its gain
-    is computed unless it is given.
+    is computed unless it is given. A learned part `similar` to that sought, of most of the same measurements, is where
+    its search starts.
 
     Raises:
         InvalidValueError: too few measurements to learn from.
@@ -216,7 +218,8 @@ def compensation_from(
     scale = InputScale.from_measurements(nominal.robot, visits)
     inputs = scale.scaled(visits.commands, visits.conditions)
     variances = np.einsum("nii->ni", found.covariances)
-    model = fitted_model(options.method, inputs, found.deviations, variances, options.seed)
+    start = similar.model if similar is not None and similar.inputs.conditions == scale.conditions else None
+    model = fitted_model(options.method, inputs, found.deviations, variances, options.seed, start)
     return replace(compensation, learned=LearnedPart(model, scale))
 
 

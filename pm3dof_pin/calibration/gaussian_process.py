@@ -58,15 +58,24 @@ class GaussianProcess(LearnedModel):
         ]
 
     @classmethod
-    def fit(cls, inputs: Array, deviations: Array, noise: Array) -> GaussianProcess:
+    def fit(
+        cls, inputs: Array, deviations: Array, noise: Array, similar: GaussianProcess | None = None
+    ) -> GaussianProcess:
         """Choose the kernels by marginal likelihood, given deviations du and their noise variance, shape=(n, commands).
+
+        The search starts from the kernels of `similar`, of most of the same measurements, where these are given.
 
         Raises:
             ConvergenceError: no kernel was found.
         """
         some = _spread(inputs)
         chosen = [
-            _most_likely(_Kernel(inputs[some], drive), deviations[some, drive], noise[some, drive])
+            _most_likely(
+                _Kernel(inputs[some], drive),
+                deviations[some, drive],
+                noise[some, drive],
+                None if similar is None else similar.logarithms[drive],
+            )
             for drive in range(deviations.shape[1])
         ]
         return cls(inputs, deviations, noise, np.array(chosen))
@@ -221,8 +230,8 @@ def _noise(variances: Array, logarithms: Array) -> Array:
     return np.asarray(variances + excess + _JITTER * variances.mean())
 
 
-def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
-    """Return the logarithms of greatest posterior probability."""
+def _most_likely(kernel: _Kernel, deviations: Array, noise: Array, near: Array | None) -> Array:
+    """Return the logarithms of greatest posterior probability, sought near given ones if there are any."""
     scale = float(np.sqrt(np.mean(deviations**2) + np.mean(noise))) or _UNSEEN_SCALE
     lengths = np.log([*[_SMOOTH_SCALE] * kernel.count, _OWN_SCALE])
     floor = np.log(_MIN_AMPLITUDE * scale)
@@ -244,9 +253,9 @@ def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
         gradient[4:] += off / _SCALE_SPREAD
         return float(value + 0.5 * off @ off), gradient
 
+    starts = [np.concatenate([np.log([*amplitudes, 0.1]) + np.log(scale), lengths]) for amplitudes in _STARTS]
     best, least = None, np.inf
-    for amplitudes in _STARTS:
-        start = np.concatenate([np.log([*amplitudes, 0.1]) + np.log(scale), lengths])
+    for start in starts if near is None else [np.clip(near, *np.transpose(bounds))]:
         found = scipy.optimize.minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
         if found.fun < least:
             best, least = found.x, float(found.fun)

@@ -108,7 +108,13 @@ class HeldOut:
                 start=whole,
                 precision=ROUGHLY,
             )
-            compensation = compensation_from(found.settled, errors, options, found if options.identifies else None)
+            compensation = compensation_from(
+                found.settled,
+                errors,
+                options,
+                found if options.identifies else None,
+                similar=calibration.compensation.learned,
+            )
             part = measurements[hidden]
             parts.append(_scores_of(compensation, found, found.linearised(part), calibration.compensation))
             starts.append(hidden[part.first_rows])

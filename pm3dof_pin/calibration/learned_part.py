@@ -19,15 +19,19 @@ from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array
 
 
-def fitted_model(method: str, inputs: Array, deviations: Array, variances: Array, seed: int) -> LearnedModel:
+def fitted_model(
+    method: str, inputs: Array, deviations: Array, variances: Array, seed: int, similar: LearnedModel | None = None
+) -> LearnedModel:
     """Learn deviations du with their noise variances, shape=(n, commands), by "nn" or "gp" as named in `method`.
+
+    Processes are sought from those of `similar`, a model of the same inputs.
 
     Raises:
         ConvergenceError: see :meth:`GaussianProcess.fit`.
     """
     if "nn" in method:
         return NeuralNetwork.fit(inputs, deviations, seed)
-    return GaussianProcess.fit(inputs, deviations, variances)
+    return GaussianProcess.fit(inputs, deviations, variances, similar if isinstance(similar, GaussianProcess) else None)
 
 
 @dataclass(frozen=True, eq=False)

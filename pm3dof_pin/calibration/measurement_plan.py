@@ -30,11 +30,11 @@ from pm3dof_pin.calibration.planning import (
 )
 from pm3dof_pin.calibration.rehearsal import Rehearsal
 from pm3dof_pin.calibration.sag import sag_in_words
-from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing
+from pm3dof_pin.calibration.spacing import MIN_DISTANCE, Spacing, require_room
 from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
@@ -70,6 +70,7 @@ _TESTS = 300
 _ROUNDS = 8  # of replacing poses at which some machine cannot be assembled, before all candidates are tried
 _USUAL = 1.2  # times the median sensitivity: poses below it are never left out for being as sensitive as another
 _FEWEST = 0.3  # fraction of the candidates that must remain
+_CLOSED_AT = 20  # poses chosen among, at which loops must close with the errors
 _NAMED = 4  # unknowns in a message
 _MORE = 4  # times as many candidates are drawn where only some are usable
 _ONCE: tuple[Strategy, ...] = ("space-filling", "least-sensitive", "random")
@@ -166,7 +167,7 @@ def plan_measurements(
         12
 
     Args:
-        errors: the parameters with their tolerances; the loops can close with them.
+        errors: the parameters with their tolerances; those with which the loops cannot close are left out.
         poses: number of poses, 9 by default.
         instrument: what is measured, or its name in :data:`pm3dof_pin.measuring.instruments.table.INSTRUMENTS`.
         sigma: for names: noise of a coordinate [m].
@@ -193,8 +194,11 @@ def plan_measurements(
         InvalidValueError: an argument is out of range, or there are too few candidates.
         UnreachablePoseError: the instrument is out of reach, or hardly any candidate can be assembled.
     """
-    generator = np.random.default_rng(seed)
-    robot, many = errors.robot, len(errors) > MANY_PARAMETERS
+    robot, generator = errors.robot, np.random.default_rng(seed)
+    if among is None:
+        require_room(robot, poses or 1, min_distance)
+    errors = closable(errors, None if among is None else among[:_CLOSED_AT])
+    many = len(errors) > MANY_PARAMETERS
     candidates = candidates or (FEWER_CANDIDATES if many else CANDIDATES)
     drawn = among
     if drawn is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,12 +10,37 @@ import numpy as np
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.tolerances import SAME
 from pm3dof_pin.typing import Array, Indices, Mask
 
 MIN_DISTANCE = 0.05
 """Least distance between two poses of a plan: rms of their command differences divided by the ranges."""
 
 _SHUFFLES = 20
+
+
+def require_room(robot: Robot, count: int, distance: float) -> None:
+    """Refuse more poses than any choice within the limits of the commands can hold apart, before poses are sought.
+
+    Cells with edges of the distance times the ranges over the root of their number have a diagonal of the distance, and
+    room for one pose each. Where some command has no limits nothing is refused.
+
+    Raises:
+        InvalidValueError: there are too many.
+    """
+    commands = robot.command_coordinates
+    limits = np.ptp(np.array([robot.range_of(command) for command in commands]).reshape(-1, 2), axis=1)
+    if commands and distance > SAME and (np.isfinite(limits) & (limits > 0.0)).all():
+        lower, upper = coordinate_ranges(robot, commands)
+        most = math.prod(math.floor(part / distance) + 1 for part in limits / (upper - lower))
+        if count > most:
+            raise _too_many(count, most, distance)
+
+
+def _too_many(count: int, most: int, distance: float) -> InvalidValueError:
+    expected = f"at most about {most} poses at least {distance:g} of the ranges from each other"
+    return InvalidValueError("count", count, f"{expected}; a smaller distance allows more")
 
 
 class Spacing:
@@ -65,11 +91,7 @@ class Spacing:
             if len(chosen) == count:
                 return np.array(chosen, dtype=np.intp)
             most = max(most, len(chosen))
-        expected = (
-            f"at most about {most} poses at least {self._distance:g} of the ranges from each other; "
-            "a smaller distance allows more"
-        )
-        raise InvalidValueError("count", count, expected)
+        raise _too_many(count, most, self._distance)
 
     def require(self, chosen: Sequence[int]) -> None:
         """Check that poses keep their distance.

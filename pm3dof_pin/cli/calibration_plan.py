@@ -19,7 +19,7 @@ from pm3dof_pin.calibration.measurement_plan import (
 from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
 from pm3dof_pin.cli.calibrate import MethodName
 from pm3dof_pin.cli.error_options import RobotErrorsOptions
-from pm3dof_pin.cli.error_parameters import closing_errors
+from pm3dof_pin.cli.error_parameters import report_dropped
 from pm3dof_pin.cli.instrument_options import TRACKER, InstrumentOptions
 from pm3dof_pin.cli.options import Json, KnownWrenches
 from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
@@ -118,11 +118,10 @@ def calibration_plan(
     errors = which.load_errors()
     with progress_bar("planning") as progress:
         choices = None if among is None else errors.robot.forward(read_plan(among, errors.robot)[0])
-        fitting = closing_errors(errors, None if choices is None else choices[:20])
         tracks = seen.instrument == TRACKER
         progress(1, 3)
         found = plan_measurements(
-            fitting,
+            errors,
             poses,
             instrument=seen.tracker() if tracks else seen.instrument,
             **({} if tracks else seen.placing),
@@ -139,6 +138,7 @@ def calibration_plan(
             machines=machines,
             seed=seed,
         )
+        report_dropped(errors, found.problem.errors)
         progress(2, 3)
         files = [write_plan(found.poses, out, found.loads)]
         if picture is not None:

@@ -152,11 +152,16 @@ def _places(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= _LISTED else f"{names[0]}, {names[1]} ... {names[-1]} ({len(names)})"
 
 
-def closing_errors(errors: GeometricErrors, poses: Poses | None = None, *, quiet: bool = False) -> GeometricErrors:
+def closing_errors(errors: GeometricErrors, poses: Poses | None = None) -> GeometricErrors:
     """Return the errors that let the loops close at the poses (random by default), and report how many are dropped."""
     fitting = closable(errors, poses)
-    if len(fitting) < len(errors) and not quiet:
-        dropped = [name for name in errors.names if name not in fitting.names]
+    report_dropped(errors, fitting)
+    return fitting
+
+
+def report_dropped(errors: GeometricErrors, fitting: GeometricErrors) -> None:
+    """Report how many errors are dropped since the loops cannot close with them."""
+    dropped = [name for name in errors.names if name not in fitting.names]
+    if dropped:
         some = ", ".join(dropped[:_SHOWN]) + (" ..." if len(dropped) > _SHOWN else "")
         message(f"pm3dof: {len(dropped)} parameters are left out because the loops cannot close with them: {some}")
-    return fitting

@@ -9,11 +9,11 @@ import numpy as np
 import typer
 
 from pm3dof_pin.cli.error_options import RobotErrorsOptions
-from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.instrument_options import InstrumentOptions
 from pm3dof_pin.cli.options import Json, KnownWrenches
 from pm3dof_pin.cli.output import message, print_result
 from pm3dof_pin.errors.pose_error import rotation_matrix
+from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import ConvergenceError, OutputError, PM3DofError, UnreachablePoseError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -68,7 +68,7 @@ def measure(
     sample = reachable_poses(errors.robot, poses or _POSES, generator)
     commands, given = (sample.commands, None) if plan is None else read_plan(plan, errors.robot)
     nominal = sample if plan is None else errors.robot.forward(commands)
-    fitting = closing_errors(errors, sample[:20], quiet=True)
+    fitting = closable(errors, sample[:20])
     truth = World.random(world, fitting, np.random.default_rng(machine)).loaded(load, wrench or (0.0,) * 6, large=large)
     if only is not None:
         truth = truth.only(only)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,9 +35,14 @@ _LEAST_DAMPING = 1e-10  # with which redundant drives have steps
 _AS_EXPECTED = 0.25  # share of the expected gain after which it becomes less
 
 
+_FOUND: WeakKeyDictionary[Poses, Array] = WeakKeyDictionary()  # poses never change, and are asked for it several times
+
+
 def command_jacobians(poses: Poses) -> Array:
-    """Return the tool's motion by the commands, shape=(n, 6, number of commands)."""
-    return sensitivities(_no_errors(poses.robot.prototype), poses, engine=poses.robot.engine).commands
+    """Return the tool's motion by the commands, shape=(n, 6, number of commands), read-only."""
+    if poses not in _FOUND:
+        _FOUND[poses] = sensitivities(_no_errors(poses.robot.prototype), poses, engine=poses.robot.engine).commands
+    return _FOUND[poses]
 
 
 @lru_cache(maxsize=4)

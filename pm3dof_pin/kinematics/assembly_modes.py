@@ -17,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, require_count, require_kind
-from pm3dof_pin.exceptions import SingularConfigurationError, first_words
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError, first_words
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reference import assemble_at
@@ -84,10 +84,12 @@ def assembly_modes(
         seed: of the random starts.
 
     Raises:
-        InvalidValueError: the commands are not finite numbers, or have the wrong shape.
+        InvalidValueError: the commands are not finite numbers, or have the wrong shape; or the robot has no joints.
         SingularConfigurationError: the drives do not determine the pose, so that modes are not isolated.
     """
     require_kind("robot", robot, Robot, "pm.load")
+    if not robot.model.nv:
+        raise InvalidValueError("robot", problem=f"{robot.name} has no joints", expected="joints to assemble")
     require_count("times", times)
     require_count("max_starts", max_starts)
     target = finite_array("commands", commands, (len(robot.commands),))

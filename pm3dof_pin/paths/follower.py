@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, tool_coordinates
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.actuation import motion_components
@@ -76,6 +76,7 @@ class Follower:
 
     def __init__(self, robot: Robot, path: ToolPath, table: Sequence[str] = ()) -> None:
         self.path, self.table = path, tuple(table)
+        self._latest: tuple[Indices, Array, Motion] | None = None
         self.unit = robot.characteristic_length
         if path.components is None:
             if table:
@@ -115,7 +116,16 @@ class Follower:
         return np.asarray(np.linalg.norm(np.diff(points, axis=0) * self.scale, axis=2).sum(axis=0))
 
     def motion(self, moves: Indices, shares: Array, sizes: Vector) -> Motion:
-        """Return the motion at points of the path, by central differences of solved poses."""
+        """Return the motion at points of the path, by central differences of solved poses; read-only.
+
+        The latest is kept: a path of one block is solved once, for its motion in time and for its columns.
+        """
+        latest = self._latest
+        if latest is None or not (np.array_equal(latest[0], moves) and np.array_equal(latest[1], shares)):
+            latest = self._latest = moves.copy(), shares.copy(), self._motion(moves, shares, sizes)
+        return latest[2]
+
+    def _motion(self, moves: Indices, shares: Array, sizes: Vector) -> Motion:
         size = sizes[moves]
         step = np.where(size > 0.0, _STEP * self.unit / np.where(size > 0.0, size, 1.0), 1.0)
         if self.path.times is not None:  # the mean speed counts: at rest, steps by length would go far beyond a move
@@ -144,7 +154,7 @@ class Follower:
             axis = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)
             axis -= np.stack([turn[:, 1, 2], turn[:, 2, 0], turn[:, 0, 1]], axis=1)
             tool[rows, 3:] = axis / (4.0 * h)  # sine of a small angle
-        return Motion(poses, targets, slope, joints, joints_second, tool, tool_second)
+        return Motion(poses, *map(frozen, (targets, slope, joints, joints_second, tool, tool_second)))
 
     def difference(self, q: Matrix, other: Matrix) -> Matrix:
         """Return the velocities that lead from q to others in unit time, shape=(n, nv)."""

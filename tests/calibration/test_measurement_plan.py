@@ -170,6 +170,22 @@ def test_planar_machines_touch_planes_across_their_own(machine: str, instrument:
     assert np.isfinite(calibrate(again, errors, "lm", on_refusal="keep").identification.values).all()
 
 
+def test_poses_that_cannot_keep_apart_are_refused_before_any_is_sought(
+    errors: GeometricErrors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of six ranges has three parts of a third, so that their cells have a diagonal of a third: less than 0.4."""
+    sought = "poses are sought"
+
+    def seek(*_: object) -> None:
+        raise AssertionError(sought)
+
+    monkeypatch.setattr(measurement_plan, "closable", seek)
+    with pytest.raises(InvalidValueError, match=f"expected at most about {3**6} poses at least 0.4 of the ranges"):
+        plan_measurements(errors, 3**6 + 1, min_distance=0.4)
+    with pytest.raises(AssertionError, match=sought):
+        plan_measurements(errors, 3**6, min_distance=0.4)
+
+
 def test_poses_too_few_to_locate_a_plane_are_refused_for_that() -> None:
     with pytest.raises(InvalidValueError, match="poses are too few to tell plane1"):
         plan_measurements(GeometricErrors.load("hexapod"), 2, instrument="gauge", candidates=60, machines=0)

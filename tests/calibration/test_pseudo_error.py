@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
@@ -16,7 +18,7 @@ from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.learned_part import InputScale
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
 from pm3dof_pin.calibration.pseudo_error import pseudo_errors, seen_errors
-from pm3dof_pin.errors.command_correction import _damped, nearest_poses
+from pm3dof_pin.errors.command_correction import _damped, command_jacobians, nearest_poses
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
@@ -40,6 +42,14 @@ def samples() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     generator = np.random.default_rng(1)
     inputs = generator.uniform(-1.0, 1.0, (160, 3))
     return inputs[:60], smooth(inputs[:60]) + NOISE * generator.standard_normal((60, 3)), inputs[60:]
+
+
+def test_motions_by_the_commands_are_computed_once_for_the_same_poses(tripod_nominal: Poses) -> None:
+    few = tripod_nominal[:3]
+    found = command_jacobians(few)
+    assert command_jacobians(few) is found
+    np.testing.assert_allclose(command_jacobians(tripod_nominal)[:3], found, rtol=1e-9, atol=1e-12)
+    assert command_jacobians(tripod_nominal[3:6]) is not found
 
 
 def test_a_deviation_of_the_joints_is_found_again(tripod_nominal: Poses) -> None:
@@ -163,6 +173,29 @@ def test_a_gaussian_process_learns_a_smooth_function(samples: tuple[np.ndarray, 
     assert np.sqrt(np.mean(errors**2)) < 0.7 * NOISE
     score = errors / process.uncertainties(others)
     assert np.sqrt(np.mean(score**2)) == pytest.approx(1.0, abs=0.35)
+
+
+def test_a_process_of_most_of_the_measurements_is_found_from_that_of_all(
+    samples: tuple[np.ndarray, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same kernels as from the usual starts, in less than half the evaluations."""
+    inputs, deviations, others = samples
+    noise = np.full((60, 3), NOISE**2)
+    whole = GaussianProcess.fit(inputs, deviations, noise)
+    evaluations, minimize = [0], scipy.optimize.minimize
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        found = minimize(*arguments, **options)
+        evaluations[-1] += found.nfev
+        return found
+
+    monkeypatch.setattr(scipy.optimize, "minimize", counted)
+    alone = GaussianProcess.fit(inputs[:48], deviations[:48], noise[:48])
+    evaluations.append(0)
+    near = GaussianProcess.fit(inputs[:48], deviations[:48], noise[:48], whole)
+    np.testing.assert_allclose(near.deviations(others), alone.deviations(others), atol=0.01 * NOISE)
+    np.testing.assert_allclose(near.uncertainties(others), alone.uncertainties(others), rtol=0.01)
+    assert 2 * evaluations[1] < evaluations[0]
 
 
 def test_a_gaussian_process_is_the_conditional_of_a_normal_law() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -15,7 +16,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes
 from pm3dof_pin.cli.kinematics import _completeness
-from pm3dof_pin.exceptions import ProgramError, SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.assembly_modes import AssemblyModes, assembly_modes
 from pm3dof_pin.kinematics.closing_programs import ProgramSource
 
@@ -207,6 +208,11 @@ def test_too_many_isolated_modes_are_not_a_free_motion(tmp_path: Path) -> None:
     loose = robot.replace(actuated_joints=robot.actuated_joints[:9], commands=robot.commands[:9])
     with pytest.raises(SingularConfigurationError, match="with these at rest the robot can move"):
         assembly_modes(loose, loose.home.commands)
+
+
+def test_a_model_without_joints_has_no_modes() -> None:
+    with pytest.raises(InvalidValueError, match="has no joints: expected joints to assemble"):
+        assembly_modes(pm.load(pin.Model()), [])
 
 
 @pytest.mark.parametrize(

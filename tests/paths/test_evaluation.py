@@ -13,7 +13,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError, UnreachablePoseError
 from pm3dof_pin.paths.bounds import MotionLimits
 from pm3dof_pin.paths.evaluation import PathEvaluation, PathOptions, evaluate_path
-from pm3dof_pin.paths.follower import with_tool_length
+from pm3dof_pin.paths.follower import Follower, with_tool_length
 from pm3dof_pin.paths.tool_path import ToolPath, read_path
 from pm3dof_pin.paths.writing import write_path
 from pm3dof_pin.typing import Array
@@ -67,6 +67,17 @@ def test_commands_are_those_of_each_pose_alone(name: str, tmp_path: Path) -> Non
         np.testing.assert_allclose(commands, alone.commands, rtol=0.0, atol=1e-10)
     ends = np.flatnonzero(found.columns["share"] == 1.0)
     np.testing.assert_allclose(coordinates[ends], found.path.end, atol=1e-12)
+
+
+def test_a_path_of_one_block_is_solved_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its columns take the motion that was solved for its speeds."""
+    found = judged(pm.load("hexapod"), tmp_path, "G21\nG1 X5 Y-3 Z180 F600\nM2\n", PathOptions(spacing=1.0))
+
+    def again(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(Follower, "_motion", again)
+    assert np.isfinite(found.columns["time_s"]).all()
 
 
 def test_program_places_the_tool_point(tmp_path: Path) -> None:
