@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,18 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps import atlas as atlas_module
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
 from pm3dof_pin.maps.atlas_store import AtlasStore, Record
+from pm3dof_pin.programs import cache
 
 QUANTITIES = ("felt_stiffness", "condition_number")
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return Robot.load("hexapod")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    """Its programs are recorded from itself, here and in other processes: those of a variant differ by rounding."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PM3DOF_CACHE_DIR", str(tmp_path_factory.mktemp("programs")))
+        patch.setattr(cache, "_known", {})
+        yield Robot.load("hexapod")
 
 
 @pytest.fixture(autouse=True)
