@@ -67,16 +67,25 @@ def known(key: str, make: Callable[[], Program]) -> llvm.Compiled:
 def stored(key: str, make: Callable[[], Program]) -> Program:
     """Return the cached program of a key, or make and cache it; the key excludes only the package's sources."""
     name = _name("traced", key)
+    if (found := _recorded(name)) is not None:
+        return found
+    with making("recording a program"), _without_collection():
+        program = make()
+    # of processes that record it at once, from variants of a machine, the first decides: programs differ by rounding
+    if (found := _recorded(name)) is not None:
+        return found
+    _keep(name, program.content)
+    return program
+
+
+def _recorded(name: str) -> Program | None:
     content = _read(name)
     if content is not None:
         try:
             return Program.from_bytes(content)
         except InvalidValueError:
             _LOG.info("cache entry %s is not a program; rebuilt", name)
-    with making("recording a program"), _without_collection():
-        program = make()
-    _keep(name, program.content)
-    return program
+    return None
 
 
 @contextmanager

@@ -161,6 +161,17 @@ def test_a_program_is_traced_once(folder):
     assert programs[2].lines == make().lines
 
 
+def test_the_first_of_two_that_record_at_once_decides(folder):
+    """Both run the same program, whatever variant of a machine each recorded it from."""
+
+    def slower():
+        cache.stored("robot", make)  # another process, meanwhile
+        return make(3.0)
+
+    assert cache.stored("robot", slower).key == make().key
+    assert cache.stored("robot", lambda: pytest.fail("recorded again")).key == make().key
+
+
 def test_other_sources_have_other_entries(folder, compilations, monkeypatch):
     value(make())
     cache.stored("robot", make)
