@@ -351,15 +351,14 @@ def _of_parameters(calibration: Fit, square: Array) -> dict[str, float]:
     machine = found.rows.shape[2] - len(found.nuisances)
     scaled = np.sqrt(found.certainties)[:, :, None] * found.rows
     matrix = scaled.reshape(-1, scaled.shape[2])
-    units = np.concatenate([found.errors.tolerances, np.ones(machine - count), found.nuisances.scales])
-    before = np.concatenate([found.prior.sigmas, np.ones(machine - count), found.nuisances.sigmas])
+    before = found.prior.of_all(machine - count, found.nuisances.sigmas)
     widening = np.concatenate([found.prior.widening, np.ones(len(before) - count)])
     datum = found.seen_map
 
     def variances(known: Mask) -> tuple[float, float]:
         """Return the tip variances due to noise and to missing information, given that some parameters are known."""
         free = np.flatnonzero(~known)
-        rows, effects, precision = matrix[:, free], datum[:, free] * units[free], before[free] ** -1.0
+        rows, effects, precision = matrix[:, free], datum[:, free] * found.units[free], before[free] ** -1.0
         total = rows.T @ rows
         total.flat[:: len(free) + 1] += precision**2
         if precision.all():

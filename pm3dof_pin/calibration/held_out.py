@@ -137,9 +137,9 @@ class HeldOut:
         """
         compensation = calibration.compensation
         measurements, notes = _of_known_targets(calibration.identification, measurements)
-        measurements, moved = _of_their_own_station(calibration, measurements)
         found = calibration.identification
-        scores = _scores_of(compensation, found, found.linearised(measurements), compensation)
+        linear, moved = _of_their_own_station(calibration, found.linearised(measurements))
+        scores = _scores_of(compensation, found, linear, compensation)
         scatter = compensation.scatter
         judged = _together(calibration, np.arange(len(measurements)), scores.with_visible_tool(), scatter, scatter)
         return replace(judged, notes=(*notes, *moved))
@@ -165,22 +165,22 @@ def _of_known_targets(found: Identification, measurements: Measurements) -> tupl
     return measurements.with_points(points), tuple(notes)
 
 
-def _of_their_own_station(calibration: Fit, measurements: Measurements) -> tuple[Measurements, tuple[str, ...]]:
-    """Return measurements, of an instrument that was moved in the base located by the calibrated machine."""
-    if measurements.registration is None or not measurements.seen.all():
-        return measurements, ()
-    compensation, linear = calibration.compensation, calibration.identification.linearised(measurements)
-    settled = linear.settled
+def _of_their_own_station(calibration: Fit, linear: Linearisation) -> tuple[Linearisation, tuple[str, ...]]:
+    """Return linearised measurements, of an instrument that was moved in the base located by the calibrated machine."""
+    if linear.measurements.registration is None or not linear.measurements.seen.all():
+        return linear, ()
+    compensation, settled = calibration.compensation, linear.settled
     reached = compensation.poses(compensation.errors.robot.forward(settled.commands), settled.conditions)
     found = settled.registered_at(reached, compensation.eta)
     difference = pose_difference(np.eye(4), found.base)
     if np.linalg.norm(difference[:3]) < _MOVED and np.linalg.norm(difference[3:]) < _MOVED:
-        return measurements, ()
+        return linear, ()
     note = (
         f"the validation was measured from another station, {np.linalg.norm(difference[:3]):.3g} m away: its base is "
         "located separately, and errors common to all poses are not judged"
     )
-    return replace(linear.measurements.in_axes(found), registration=None), (note,)
+    moved = replace(linear.measurements.in_axes(found), registration=None)
+    return calibration.identification.linearised(moved), (note,)
 
 
 @dataclass(frozen=True, eq=False)

@@ -312,7 +312,7 @@ class Identification:
         noise = np.broadcast_to(self.noise_factors, seen.shape)[seen]
         scaled = self.rows[rows][seen] / noise[:, None]
         off = self.normalized_residuals[rows][seen] / noise + scaled @ self.scaled_values
-        expected = np.concatenate([prior.sigmas, np.ones(len(self.elastic.names)), self.nuisances.sigmas])
+        expected = prior.of_all(len(self.elastic.names), self.nuisances.sigmas)
         effects = scaled * np.minimum(expected, UNKNOWN)
         factor = np.linalg.cholesky(np.eye(effects.shape[1]) + effects.T @ effects)
         amounts = scipy.linalg.cho_solve((factor, True), effects.T @ off, check_finite=False)

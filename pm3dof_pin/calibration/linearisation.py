@@ -117,7 +117,7 @@ class Linearisation:
     @cached_property
     def sigmas(self) -> Array:
         """Prior standard deviations of the parameters, in their scales, shape=(parameters,)."""
-        return np.concatenate([self.prior.sigmas, np.ones(len(self.elastic.names)), self.nuisances.sigmas])
+        return self.prior.of_all(len(self.elastic.names), self.nuisances.sigmas)
 
     @cached_property
     def kinds(self) -> Array:

@@ -185,8 +185,8 @@ class PlanningProblem:
         tests = candidate_map if test_poses is None else error_map(errors, test_poses, eta=eta)
         self.measured, self.tested = (_PlannedPoses.under(each, wrenches) for each in (candidate_map, tests))
         self.prior = prior
-        self.sigmas = np.concatenate([Prior(prior, nearly_free(errors)).sigmas, np.ones(len(elastic.names))])
-        self._prior = np.diag(np.concatenate([self.sigmas, self.nuisances.sigmas]) ** -2.0)
+        before = Prior(prior, nearly_free(errors)).of_all(len(elastic.names), self.nuisances.sigmas)
+        self.sigmas, self._prior = before[: len(self.unknowns)], np.diag(before**-2.0)
         # base and tool are as the measurements define them, here all candidates
         shown = self.nuisances.datum_map()
         if shown[6:].any():

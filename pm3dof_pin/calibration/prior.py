@@ -45,6 +45,10 @@ class Prior:
         """Standard deviation of each parameter, shape=(parameters,)."""
         return np.where(self.free & np.isfinite(self.k), 1.0, self.k)
 
+    def of_all(self, springs: int, nuisances: Array) -> Array:
+        """Return those of all unknowns in their scales: of the machine, of so many springs, and given ones."""
+        return np.concatenate([self.sigmas, np.ones(springs), nuisances])
+
     @cached_property
     def widening(self) -> Array:
         """Factor on each of them for a k one standard error larger, shape=(parameters,)."""

@@ -105,7 +105,7 @@ def assembly_modes(
     size = _AT_ONCE
     continuation = robot.continuation(robot.placing_commands)
     if continuation is None or not continuation.has_damped_steps:
-        affordable = max(1, int(_WORK_WITHOUT / max(1, robot.model.nv) ** 3))
+        affordable = max(1, int(_WORK_WITHOUT / robot.model.nv**3))
         size, max_starts = min(_AT_ONCE_WITHOUT, affordable), min(max_starts, _FRUITLESS * affordable)
     while starts < max_starts:
         ends = _closed(robot, _random_starts(robot, generator, size), target)

@@ -118,7 +118,8 @@ class Follower:
     def motion(self, moves: Indices, shares: Array, sizes: Vector) -> Motion:
         """Return the motion at points of the path, by central differences of solved poses; read-only.
 
-        The latest is kept: a path of one block is solved once, for its motion in time and for its columns.
+        The latest is kept: a path of one block is solved once, for its motion in time and for its columns. Sizes are
+        those of all moves of the path, see :meth:`sizes`.
         """
         latest = self._latest
         if latest is None or not (np.array_equal(latest[0], moves) and np.array_equal(latest[1], shares)):

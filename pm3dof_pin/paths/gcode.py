@@ -100,6 +100,11 @@ def in_machine(placement: Matrix, values: Array, *, turns: bool) -> Array:
     return found
 
 
+def from_machine(placement: Matrix, values: Array, *, turns: bool) -> Array:
+    """Return X Y Z A B C in a placed coordinate system, from those in the base, as :func:`in_machine`."""
+    return in_machine(np.asarray(np.linalg.inv(placement), dtype=np.float64), values, turns=turns)
+
+
 def read_program(
     path: Path | str, text: str, systems: Systems, home: Vector, *, has_tool: bool = False
 ) -> GCodeProgram:
@@ -290,8 +295,7 @@ class _Interpreter:
 
     def _seen_from(self, system: int, machine: Array) -> Array:
         """Return X Y Z A B C in a coordinate system, from those in the base."""
-        inverse = np.asarray(np.linalg.inv(self._systems[system]), dtype=np.float64)
-        return in_machine(inverse, machine, turns=self._turns)
+        return from_machine(self._systems[system], machine, turns=self._turns)
 
     def _dwell(self, given: dict[str, float], axes: list[str]) -> None:
         if axes or given.get("P", -1.0) < 0.0:

@@ -30,7 +30,7 @@ from pm3dof_pin.mechanism.tool_components import rotation_of_angles, tool_compon
 from pm3dof_pin.paths.bounds import drive_limits
 from pm3dof_pin.paths.evaluation import PathOptions
 from pm3dof_pin.paths.follower import Follower, with_tool_length
-from pm3dof_pin.paths.gcode import MACHINE, Systems, in_machine
+from pm3dof_pin.paths.gcode import MACHINE, Systems, from_machine, in_machine
 from pm3dof_pin.paths.tool_path import ToolPath
 from pm3dof_pin.typing import Array, Matrix, Vector
 
@@ -136,10 +136,10 @@ class PlacementSearch:
         turns = self._follower.path.turns
         found = np.stack([in_machine(motion, self.targets, turns=turns) for motion in motions])
         for rows, placement, unnamed in self._unnamed:  # there the machine stands where home, not the workpiece, is
-            local, home = (_seen_from(placement, each, turns=turns) for each in (self.targets[rows], self._home))
+            local, home = (from_machine(placement, each, turns=turns) for each in (self.targets[rows], self._home))
             for own, motion in zip(found, motions, strict=True):
                 moved = motion @ placement
-                shift = _seen_from(moved, self._home, turns=turns) - home
+                shift = from_machine(moved, self._home, turns=turns) - home
                 own[rows] = in_machine(moved, local + unnamed * shift, turns=turns)
         return found
 
@@ -184,11 +184,6 @@ class PlacementSearch:
                 middle[:, TOOL_COMPONENTS.index(name)] = column
         motions[:, :3, 3] = middle - motions[:, :3, :3] @ self.centre
         return motions
-
-
-def _seen_from(placement: Matrix, values: Array, *, turns: bool) -> Array:
-    """Return X Y Z A B C of the base in a placed coordinate system, shape=(..., 6)."""
-    return in_machine(np.asarray(np.linalg.inv(placement), dtype=float), values, turns=turns)
 
 
 def place_path(
