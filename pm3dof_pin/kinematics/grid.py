@@ -12,7 +12,7 @@ import numpy as np
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Mask
 
 _MAX_NUMBERS = 1_000_000_000  # coordinates of all poses of a grid that are computed at once: 8 GB
 
@@ -99,3 +99,14 @@ class Grid:
         """Return a part of the grid by one slice per dimension."""
         axes = {name: values[part] for (name, values), part in zip(self.axes.items(), slices, strict=True)}
         return Grid(self.coordinates, axes, self.fixed)
+
+
+def with_neighbours(mask: Mask) -> Mask:
+    """Return a mask grown by its neighbours, diagonal ones included."""
+    grown = mask.copy()
+    for axis in range(mask.ndim):
+        along = np.moveaxis(grown, axis, 0)
+        before = along.copy()
+        along[1:] |= before[:-1]
+        along[:-1] |= before[1:]
+    return grown

@@ -12,7 +12,7 @@ from pm3dof_pin.arrays import require_count, require_kind
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges, require_quick_poses
-from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.grid import Grid, with_neighbours
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reference import Reference
 from pm3dof_pin.kinematics.robot import Robot
@@ -196,7 +196,7 @@ class _Draws:
         shares = (np.arange(count) + 0.5) / count
         axes = {c.name: a + (b - a) * shares for c, a, b in zip(commands, lower, upper, strict=True)}
         q, is_within = _solved(self._robot, commands, Grid(commands, axes, {}).values)
-        near = _with_neighbours(is_within) & np.isfinite(q[..., 0])
+        near = with_neighbours(is_within) & np.isfinite(q[..., 0])
         values = np.where(near[..., None], Poses(self._robot, q).coordinates, np.nan)
         differences = [np.abs(np.diff(values, axis=k)).reshape(-1, values.shape[-1]) for k in range(len(commands))]
         if not near.any() or any(np.isnan(steps).all(axis=0).any() for steps in differences):
@@ -232,7 +232,7 @@ class _Draws:
         q, is_within = _solved(self._robot, self._coordinates, Grid(self._coordinates, axes, {}).values)
         starts = np.where(np.isnan(q[..., :1]), self._robot.home.q, q)
         is_wide = is_within.sum() >= 2**is_within.ndim
-        return starts, _with_neighbours(is_within) if is_wide else np.ones_like(is_within)
+        return starts, with_neighbours(is_within) if is_wide else np.ones_like(is_within)
 
 
 def _solved(
@@ -247,14 +247,3 @@ def _solved(
     found = solver.walk(rows, starts, thorough=False)
     assert found.broken_limits is not None
     return found.q.reshape(*shape, robot.model.nq), (found.broken_limits == 0).reshape(shape)
-
-
-def _with_neighbours(mask: Mask) -> Mask:
-    """Return a mask grown by its neighbours, diagonal ones included."""
-    grown = mask.copy()
-    for axis in range(mask.ndim):
-        along = np.moveaxis(grown, axis, 0)
-        before = along.copy()
-        along[1:] |= before[:-1]
-        along[:-1] |= before[1:]
-    return grown

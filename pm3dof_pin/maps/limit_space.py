@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.coordinate_ranges import require_quick_poses
-from pm3dof_pin.kinematics.poses import limit_names
+from pm3dof_pin.kinematics.grid import Grid, with_neighbours
+from pm3dof_pin.kinematics.poses import REACH, limit_names
 from pm3dof_pin.typing import Array, Branch
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ class LimitSpace:
     ends: Array | None = None  #: declared ranges, beyond which some limit is broken, shape=(number of coordinates, 2)
     #: if poses of all branches count, the limits as above and the numbers of the branches
     branches: Callable[[Array], tuple[Flags, NDArray[np.int64]]] | None = None
+    #: the sums over a product grid, given the values of each coordinate, if that takes less than point by point
+    over_grid: Callable[[Sequence[Array]], Flags] | None = None
 
     @property
     def stacked(self) -> bool:
@@ -65,6 +68,21 @@ class LimitSpace:
         if self.ends is not None:  # no loops are closed outside
             within &= np.all((points >= self.ends[:, 0]) & (points <= self.ends[:, 1]), axis=-1)
         within[within] = self.broken_limits(points[within]) == 0
+        return within
+
+    def within_grid(self, axes: Sequence[Array]) -> NDArray[np.bool_]:
+        """Tell which points of a product grid are within the limits, from the increasing values of each coordinate."""
+        if self.over_grid is None:
+            return self.within(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
+        within: NDArray[np.bool_] = np.zeros([len(axis) for axis in axes], dtype=bool)
+        ends = np.full((len(axes), 2), [-np.inf, np.inf]) if self.ends is None else self.ends
+        inner = [
+            slice(np.searchsorted(axis, low), np.searchsorted(axis, high, "right"))
+            for axis, (low, high) in zip(axes, ends, strict=True)
+        ]
+        own = [axis[part] for axis, part in zip(axes, inner, strict=True)]
+        if all(axis.size for axis in own):
+            within[tuple(inner)] = self.over_grid(own) == 0
         return within
 
 
@@ -123,6 +141,17 @@ def robot_space(
         flags, branches = judged(values)
         return np.asarray(flags | np.where(outside, np.uint32(beyond), np.uint32(0))), branches
 
+    others = dict(zip((c.name for c in robot.coordinates), robot.home_coordinates, strict=True)) | dict(fixed or {})
+
+    def over_grid(axes: Sequence[Array]) -> Flags:
+        given = {name: value for name, value in others.items() if name not in chosen}
+        grid = Grid(robot.coordinates, dict(zip(chosen, axes, strict=True)), given)
+        flags = robot.solve(grid, on_failure="nan", branches="all" if all_branches else "home").broken_limits.copy()
+        reached = (flags & REACH) == 0
+        rim = with_neighbours(reached) & ~reached  # neighbours do not lead to all that walks from farther away reach
+        flags[rim] = judged(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)[rim])[0]
+        return flags
+
     return LimitSpace(
         machine=robot.name,
         names=chosen,
@@ -134,6 +163,7 @@ def robot_space(
         ends=ends,
         density=_density(robot),
         branches=with_ranges if all_branches else None,
+        over_grid=over_grid if solver is not None else None,
     )
 
 

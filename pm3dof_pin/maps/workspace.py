@@ -145,7 +145,7 @@ class Workspace:
 
         cells = max(round(count * self.space.density), 8)
         axes = [_padded(low, high, cells) for low, high in (*self.ranges, self.level_range)]
-        inside = self.space.within(_nodes(axes))
+        inside = self.space.within_grid(axes)
         if not inside.any():
             raise UnreachablePoseError(f"the workspace of {self.space.machine} is too thin for a surface")
         solid = np.pad(inside, 1).astype(np.float32)
@@ -280,7 +280,13 @@ def spaces_by_branch(space: LimitSpace) -> dict[int, LimitSpace]:
         box = np.stack([own.min(axis=0) - cell, own.max(axis=0) + cell], axis=-1)
         limits = (*space.limits, BRANCH)
         return replace(
-            space, limits=limits, broken_limits=broken_limits, box=box, start=own[len(own) // 2], branches=None
+            space,
+            limits=limits,
+            broken_limits=broken_limits,
+            box=box,
+            start=own[len(own) // 2],
+            branches=None,
+            over_grid=None,
         )
 
     return {number: apart(number) for number in np.unique(numbers).tolist()}
@@ -319,8 +325,8 @@ def _search(space: LimitSpace) -> tuple[Array, Array]:
     count = fewest
     widest = _MAX_DISTANCE * np.ptp(box, axis=1)
     for _ in range(_MAX_SEARCHES):
-        nodes = _nodes([np.linspace(low, high, count) for low, high in box]).reshape(-1, len(box))
-        inside, cell = nodes[space.within(nodes)], np.ptp(box, axis=1) / (count - 1)
+        axes = [np.linspace(low, high, count) for low, high in box]
+        inside, cell = _nodes(axes)[space.within_grid(axes)], np.ptp(box, axis=1) / (count - 1)
         if space.within(space.start):
             inside = np.vstack([inside, space.start])
         if not len(inside):
@@ -432,8 +438,11 @@ def _sections(space: LimitSpace, levels: Array, known: Array, cell: Array, direc
         plane = boxes[layer, :, 0] + steps[layer] * index[:, 1:]
         return np.column_stack([plane, levels[layer]]) if d > 2 else plane
 
-    shape = (len(levels), count + 1, count + 1)
-    inside = space.within(node(np.indices(shape).reshape(3, -1).T.astype(float))).reshape(shape)
+    def within(layer: int) -> Mask:
+        axes = [low + step * np.arange(count + 1.0) for low, step in zip(boxes[layer, :, 0], steps[layer], strict=True)]
+        return space.within_grid([*axes, levels[layer : layer + 1]][:d]).reshape(count + 1, count + 1)
+
+    inside = np.stack([within(layer) for layer in range(len(levels))])
     rings = []  # of indices of sides of cells, (layer, first, second)
     for layer, filled in enumerate(inside):
         found = contour_generator(z=np.pad(filled, 1).T.astype(float)).lines(0.5) if filled.any() else []
