@@ -17,13 +17,12 @@ from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.calibration.assembled import assembled_rows
 from pm3dof_pin.calibration.compensation import Compensated, Conditions
 from pm3dof_pin.calibration.expectation import Expectation
-from pm3dof_pin.calibration.fit import Fit, Method, fit
+from pm3dof_pin.calibration.fit import Fit, Method, fit, roughly
 from pm3dof_pin.calibration.fit import Options as Options
 from pm3dof_pin.calibration.folder import summary_of, write_calibration
 from pm3dof_pin.calibration.heat import as_if_cold
 from pm3dof_pin.calibration.held_out import HeldOut
-from pm3dof_pin.calibration.identification import ROUGHLY, Identification, identify
-from pm3dof_pin.calibration.prior import PRIOR
+from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.refusals import doubts, likely_cause, refusals
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
@@ -259,9 +258,9 @@ def _best_judged(seen: Measurements, errors: GeometricErrors, options: Options, 
     """
     if not undeclared:
         return _judged(fit(seen, errors, options, quiet=True))
-    first, free = _roughly(seen, errors, options), None
+    first, free = roughly(seen, errors, options), None
     with contextlib.suppress(*_FAILURES):
-        free = _roughly(seen, with_free_zeros(errors), options)
+        free = roughly(seen, with_free_zeros(errors), options)
     likelier = free is not None and _odds(free, first, options) > _CLEARLY
     other = _with_free_zeros(seen, errors, options, free) if likelier else None
     if other is not None and not other.against:
@@ -270,11 +269,6 @@ def _best_judged(seen: Measurements, errors: GeometricErrors, options: Options, 
     if judged.against and free is not None and not likelier:
         other = _with_free_zeros(seen, errors, options, free)
     return judged if other is None or other.against else other
-
-
-def _roughly(seen: Measurements, errors: GeometricErrors, options: Options) -> Identification:
-    prior = PRIOR if options.prior is None else options.prior
-    return identify(seen, errors, prior=prior, loss=options.loss, precision=ROUGHLY)
 
 
 def _odds(one: Identification, other: Identification, options: Options) -> float:

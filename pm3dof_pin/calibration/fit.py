@@ -17,6 +17,7 @@ from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.identification import ROUGHLY, Identification, identify
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_model
 from pm3dof_pin.calibration.linearisation import Loss
+from pm3dof_pin.calibration.prior import PRIOR
 from pm3dof_pin.calibration.pseudo_error import control_inverse, motions_seen, pseudo_errors
 from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.calibration.session_effects import SessionEffects
@@ -130,7 +131,7 @@ def fit(
         measurements: poses, positions or points.
         errors: the parameters, with their tolerances.
         options: method and settings.
-        first: what :func:`~pm3dof_pin.calibration.identification.identify` finds to :data:`ROUGHLY`, if that is known.
+        first: what :func:`roughly` finds, if that is known.
         quiet: whether to return warnings without logging them.
 
     Raises:
@@ -139,15 +140,13 @@ def fit(
         SingularConfigurationError: at some command the tool can move with all drives locked.
     """
     options = options or Options()
-    if options.prior is not None:
-        identification = identify(measurements, errors, prior=options.prior, loss=options.loss)
-    else:
-        identification = first or identify(measurements, errors, loss=options.loss, precision=ROUGHLY)
-        likely = identification.likely_prior()
-        shown, start = identification.measurements, identification
-        identification = identify(
-            shown, errors, prior=likely.k, prior_error=likely.error, loss=options.loss, start=start
-        )
+    k, error = options.prior, 0.0
+    if k is None:
+        first = first or roughly(measurements, errors, options)
+        likely = first.likely_prior()
+        k, error = likely.k, likely.error
+    shown = measurements if first is None else first.measurements
+    identification = identify(shown, errors, prior=k, prior_error=error, loss=options.loss, start=first)
     options = replace(options, prior=identification.prior.k)
     shown = identification.settled[identification.trusted]
     nominal = errors.robot.forward(shown.visits.commands)
@@ -162,6 +161,12 @@ def fit(
     session = SessionEffects.from_identification(identification)
     compensation = replace(compensation, scatter=_scatter(compensation, shown, identification), session=session)
     return Fit(options, identification.measurements, identification, compensation, gain, warnings)
+
+
+def roughly(measurements: Measurements, errors: GeometricErrors, options: Options) -> Identification:
+    """Identify parameters to :data:`ROUGHLY`, with a generous prior unless one is given; raises as :func:`identify`."""
+    prior = PRIOR if options.prior is None else options.prior
+    return identify(measurements, errors, prior=prior, loss=options.loss, precision=ROUGHLY)
 
 
 def _scatter(compensation: Compensation, shown: Measurements, identification: Identification) -> Scatter:

@@ -282,7 +282,7 @@ class Identification:
         """
         parts = self.prior.parts
         scaled = np.sqrt(self.weights)[:, None, None] / self.noise_factors[:, None]
-        blocks = (scaled * self.rows[:, :, parts]).reshape(-1, len(parts))
+        blocks = (scaled * self.rows[:, :, parts]).reshape(scaled.shape[0] * scaled.shape[1], len(parts))
         others = (scaled * np.delete(self.rows, parts, axis=2)).reshape(len(blocks), -1)
         if others.size:
             blocks = blocks - others @ np.linalg.lstsq(others, blocks, rcond=REGRESSOR_TOLERANCE)[0]

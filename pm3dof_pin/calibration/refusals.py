@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pm3dof_pin.calibration.fit import Fit, Options, fit
+from pm3dof_pin.calibration.fit import Fit, Options, fit, roughly
 from pm3dof_pin.calibration.held_out import HeldOut
 from pm3dof_pin.calibration.identification import ROUGHLY, Identification, identify
 from pm3dof_pin.calibration.linearisation import UNKNOWN
@@ -274,7 +274,7 @@ def _fits(mistake: Mistake, errors: GeometricErrors, eta: float, farthest: float
     """Tell whether a machine within its tolerances, and no `farthest`, fits corrected measurements to their noise."""
     try:
         measurements, options = _reached(mistake.corrected, errors.robot)[0], Options("lm", eta=eta)
-        first = identify(measurements, errors, loss=options.loss, precision=ROUGHLY)
+        first = roughly(measurements, errors, options)
         if first.noise_factor > 2.0 * _LOUD:
             return False
         found = fit(measurements, errors, options, first=first, quiet=True)

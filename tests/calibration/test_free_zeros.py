@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import pm3dof_pin as pm
+from pm3dof_pin.calibration.fit import Options
+from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.errors.presets import with_free_zeros
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.typing import Array
 
@@ -84,3 +88,33 @@ def test_zeros_that_residuals_hide_are_weighed(off: float) -> None:
     assert freed == (off > 0.0)
     assert calibration.identification.noise_factor < 1.5
     assert calibration.identification.prior.k < 2.0
+
+
+def _delta_seen(errors: pm.GeometricErrors, values: Array) -> pm.Measurements:
+    commands = pm.reachable_poses(errors.robot, 15, np.random.default_rng(4)).commands
+    reached = errors.apply(values).forward(commands).transforms
+    return pm.Measurements.from_poses(commands, reached, Instrument("position"))
+
+
+def test_zeros_alone_are_identified() -> None:
+    """No part is left that k could scale: its value is that of the tolerances, 1."""
+    free = with_free_zeros(pm.GeometricErrors.load("linear_delta"))
+    errors = free.select(f"carriage{k}_joint.tz" for k in (1, 2, 3))
+    true = np.array([2e-3, -1e-3, 3e-3])
+    found = pm.calibrate(_delta_seen(errors, true), errors, "lm").identification
+    np.testing.assert_allclose(found.values, true, atol=1e-6)
+    assert found.prior.k == 1.0
+
+
+def test_a_given_prior_is_identified_with_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Undeclared zeros are weighed by rough identifications; that of the better ones goes on from there."""
+    errors = pm.GeometricErrors(pm.load("linear_delta"))
+    seen, starts = _delta_seen(errors, 0.3 * errors.sample(np.random.default_rng(1))), list[bool]()
+
+    def counted(*given: Any, **options: Any) -> Identification:
+        starts.append(options.get("start") is not None)
+        return identify(*given, **options)
+
+    monkeypatch.setattr("pm3dof_pin.calibration.fit.identify", counted)
+    pm.calibrate(seen, errors, Options("lm", prior=1.0), on_refusal="keep")
+    assert starts == [False, False, True]
