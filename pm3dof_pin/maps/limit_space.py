@@ -52,8 +52,8 @@ class LimitSpace:
     ends: Array | None = None  #: declared ranges, beyond which some limit is broken, shape=(number of coordinates, 2)
     #: if poses of all branches count, the limits as above and the numbers of the branches
     branches: Callable[[Array], tuple[Flags, NDArray[np.int64]]] | None = None
-    #: the sums over a product grid, given the values of each coordinate, if that takes less than point by point
-    over_grid: Callable[[Sequence[Array]], Flags] | None = None
+    #: which points of a product grid are within the limits, if that takes less than point by point
+    over_grid: Callable[[Sequence[Array]], NDArray[np.bool_]] | None = None
 
     @property
     def stacked(self) -> bool:
@@ -72,18 +72,12 @@ class LimitSpace:
 
     def within_grid(self, axes: Sequence[Array]) -> NDArray[np.bool_]:
         """Tell which points of a product grid are within the limits, from the increasing values of each coordinate."""
-        if self.over_grid is None:
-            return self.within(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
-        within: NDArray[np.bool_] = np.zeros([len(axis) for axis in axes], dtype=bool)
-        ends = np.full((len(axes), 2), [-np.inf, np.inf]) if self.ends is None else self.ends
-        inner = [
-            slice(np.searchsorted(axis, low), np.searchsorted(axis, high, "right"))
-            for axis, (low, high) in zip(axes, ends, strict=True)
-        ]
-        own = [axis[part] for axis, part in zip(axes, inner, strict=True)]
-        if all(axis.size for axis in own):
-            within[tuple(inner)] = self.over_grid(own) == 0
-        return within
+        return self.within(nodes(axes)) if self.over_grid is None else self.over_grid(axes)
+
+
+def nodes(axes: Sequence[Array]) -> Array:
+    """Return the points of a product grid, shape=(n1, n2, ..., number of axes)."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
 def robot_space(
@@ -141,16 +135,25 @@ def robot_space(
         flags, branches = judged(values)
         return np.asarray(flags | np.where(outside, np.uint32(beyond), np.uint32(0))), branches
 
-    others = dict(zip((c.name for c in robot.coordinates), robot.home_coordinates, strict=True)) | dict(fixed or {})
+    at_home = {c.name: value for c, value in zip(robot.coordinates, robot.home_coordinates, strict=True)}
+    others = {name: value for name, value in {**at_home, **(fixed or {})}.items() if name not in chosen}
 
-    def over_grid(axes: Sequence[Array]) -> Flags:
-        given = {name: value for name, value in others.items() if name not in chosen}
-        grid = Grid(robot.coordinates, dict(zip(chosen, axes, strict=True)), given)
+    def over_grid(axes: Sequence[Array]) -> NDArray[np.bool_]:
+        within: NDArray[np.bool_] = np.zeros([len(axis) for axis in axes], dtype=bool)
+        parts = [
+            slice(np.searchsorted(axis, low), np.searchsorted(axis, high, "right"))
+            for axis, (low, high) in zip(axes, ends, strict=True)
+        ]
+        own = [axis[part] for axis, part in zip(axes, parts, strict=True)]
+        if any(not axis.size for axis in own):
+            return within
+        grid = Grid(robot.coordinates, dict(zip(chosen, own, strict=True)), others)
         flags = robot.solve(grid, on_failure="nan", branches="all" if all_branches else "home").broken_limits.copy()
         reached = (flags & REACH) == 0
         rim = with_neighbours(reached) & ~reached  # neighbours do not lead to all that walks from farther away reach
-        flags[rim] = judged(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)[rim])[0]
-        return flags
+        flags[rim] = judged(nodes(own)[rim])[0]
+        within[tuple(parts)] = flags == 0
+        return within
 
     return LimitSpace(
         machine=robot.name,

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.datasets import NamedArray, NamedArrays, coordinate_attributes, dataset_attributes, flag_variable
-from pm3dof_pin.maps.limit_space import Flags, LimitSpace
+from pm3dof_pin.maps.limit_space import Flags, LimitSpace, nodes
 from pm3dof_pin.typing import Array, Mask, Vector
 
 BRANCH = "branch"
@@ -326,7 +326,7 @@ def _search(space: LimitSpace) -> tuple[Array, Array]:
     widest = _MAX_DISTANCE * np.ptp(box, axis=1)
     for _ in range(_MAX_SEARCHES):
         axes = [np.linspace(low, high, count) for low, high in box]
-        inside, cell = _nodes(axes)[space.within_grid(axes)], np.ptp(box, axis=1) / (count - 1)
+        inside, cell = nodes(axes)[space.within_grid(axes)], np.ptp(box, axis=1) / (count - 1)
         if space.within(space.start):
             inside = np.vstack([inside, space.start])
         if not len(inside):
@@ -488,10 +488,6 @@ def _padded(low: float, high: float, cells: int) -> Array:
     """Return values from low to high, and one beyond each end."""
     step = (high - low) / cells
     return low + step * np.arange(-1.0, cells + 2.0)
-
-
-def _nodes(axes: Sequence[Array]) -> Array:
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
 def _crossings(

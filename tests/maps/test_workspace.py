@@ -14,7 +14,7 @@ import pytest
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.figures.workspace import branches_figure
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.limit_space import DECLARED_RANGE, Flags, LimitSpace, robot_space
+from pm3dof_pin.maps.limit_space import DECLARED_RANGE, Flags, LimitSpace, nodes, robot_space
 from pm3dof_pin.maps.workspace import (
     BRANCH,
     Surface,
@@ -193,6 +193,16 @@ def test_declared_ranges_are_limits() -> None:
     assert np.all(np.abs(beyond.ranges) > 0.0155)
     poses = robot.solve(np.pad(beyond.surface(12).points, ((0, 0), (0, 3))), on_failure="nan")
     assert poses.within_limits.all()
+
+
+@pytest.mark.parametrize("name", ["linear_delta", "three_rps", "hexapod"])
+def test_a_grid_is_judged_as_its_points_are(name: str) -> None:
+    """Beyond the ends too, where nothing is solved."""
+    space = robot_space(Robot.load(name))
+    axes = [np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), 14) for low, high in space.box]
+    together, apart = space.within_grid(axes), space.within(nodes(axes))
+    assert 0 < apart.sum() < apart.size
+    np.testing.assert_array_equal(together, apart)
 
 
 def test_the_reference_engine_finds_the_same_on_its_coarser_grid() -> None:
