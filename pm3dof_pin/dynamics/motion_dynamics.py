@@ -13,7 +13,8 @@ from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, quantity_program
-from pm3dof_pin.kinematics.jacobians import MotionName, Rate, ReferenceMotions, motion_rates, recorded_motions
+from pm3dof_pin.kinematics.jacobian_programs import Rate, recorded_motions
+from pm3dof_pin.kinematics.jacobians import MotionName, ReferenceMotions, motion_rates
 from pm3dof_pin.kinematics.pose_values import PROGRAM_FROM, BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot

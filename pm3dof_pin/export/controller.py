@@ -15,7 +15,8 @@ from pm3dof_pin.export.ros import ros_package_name
 from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
-from pm3dof_pin.kinematics.jacobians import jacobian_program, motion_rates
+from pm3dof_pin.kinematics.jacobian_programs import jacobian_program
+from pm3dof_pin.kinematics.jacobians import motion_rates
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot

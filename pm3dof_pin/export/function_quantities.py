@@ -29,7 +29,8 @@ from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.degrees_of_freedom import scaled_closures
-from pm3dof_pin.kinematics.jacobians import MotionName, bound_jacobian, jacobian, motion_rates
+from pm3dof_pin.kinematics.jacobian_programs import bound_jacobian
+from pm3dof_pin.kinematics.jacobians import MotionName, jacobian, motion_rates
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity_measures import scaled_jacobians

@@ -8,10 +8,15 @@ their branch, and no joint has to be kept at rest, which would make poses singul
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import cached_property
 
 import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.kinematics.closing_programs import BoundProgram
+from pm3dof_pin.kinematics.jacobian_programs import bound_jacobian, rate_of_coordinate
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.kinematics.pose_search import Solver
 from pm3dof_pin.kinematics.units import coordinate_periods, coordinate_scales
@@ -47,7 +52,8 @@ class NullMotions:
         solver: Solver,
         read: Callable[[Matrix], Matrix],
     ) -> None:
-        self._robot, self._commands, self._solver, self._read = robot, tuple(commands), solver, read
+        self._robot, self._solver, self._read = robot, solver, read
+        self._coordinates, self._commands = tuple(coordinates), tuple(commands)
         self._units = coordinate_scales(robot, tuple(commands))
         self._scales = coordinate_scales(robot, tuple(coordinates))
         self._periods = coordinate_periods(robot, tuple(coordinates))
@@ -112,8 +118,26 @@ class NullMotions:
         changes = changes - turns * np.round(changes / np.where(turns > 0.0, turns, 1.0))
         return np.asarray(changes / self._scales)
 
+    @cached_property
+    def _jacobian(self) -> BoundProgram | None:
+        """None if it cannot be recorded, or is too long to be compiled: then differences take its place."""
+        of, by = (tuple(map(rate_of_coordinate, rates)) for rates in (self._coordinates, self._commands))
+        with suppress(ProgramError):
+            return bound_jacobian(self._robot, of, by, with_derivatives=False)
+        return None
+
     def _by_commands(self, q: Matrix, commands: Matrix) -> Array:
-        """Return the derivatives of the coordinates by the commands, both scaled, by differences, shape=(n, k, u)."""
+        """Return the derivatives of the coordinates by the commands, both scaled, shape=(n, k, u)."""
+        if self._jacobian is None:
+            return self._differences(q, commands)
+        values, sound = self._jacobian.with_doubt(q)
+        slopes = values.reshape(len(q), len(self._scales), len(self._units)) * self._units / self._scales[:, None]
+        if not sound.all():
+            slopes[~sound] = self._differences(q[~sound], commands[~sound])
+        return np.asarray(slopes)
+
+    def _differences(self, q: Matrix, commands: Matrix) -> Array:
+        """Return the same by differences."""
         n, u = commands.shape
         moves = np.concatenate([np.zeros((1, u)), _SMALL * np.diag(self._units)])  # the first closes fully
         beside = (commands[:, None] + moves).reshape(-1, u)

@@ -63,7 +63,7 @@ def evaluate_at(
     `program` maps configurations, shape=(n, nq), and threads to values, shape=(n, size), and a mask of those not in
     doubt, shape=(n,); it raises ProgramError if there is no program. `reference` maps one configuration to its value of
     the given shape; it decides where the program is in doubt, and for fewer poses than `program_from`, counted over all
-    calls for the robot and its variants.
+    calls for the robot and its variants. Unsolved poses fail without a computation if `on_failure` is "nan".
 
     Raises:
         InvalidValueError: `poses` has the wrong shape.
@@ -80,29 +80,33 @@ def evaluate_at(
             expected += f"; solve values of {names} first: robot.solve(values)"
         raise ShapeError("poses", q.shape, expected)
     rows = q.reshape(math.prod(q.shape[:-1]), q.shape[-1])
+    known = np.asarray(np.isfinite(rows).all(axis=1)) if on_failure == "nan" else np.ones(len(rows), dtype=bool)
+    asked = rows if known.all() else rows[known]
     values: Array | None = None
-    doubtful = np.arange(len(rows))
-    if engine == "program" and _are_many(robot, (name, shape), len(rows), program_from):
+    doubtful = np.arange(len(asked))
+    if engine == "program" and _are_many(robot, (name, shape), len(asked), max(program_from, 1)):
         with suppress(ProgramError):
-            values, sound = program(rows, robot.threads if threads is None else threads)
+            values, sound = program(asked, robot.threads if threads is None else threads)
             doubtful = np.flatnonzero(~sound)
     if values is None:
-        values = np.empty((len(rows), math.prod(shape)))
-    failed = np.zeros(len(rows), dtype=bool)
+        values = np.empty((len(asked), math.prod(shape)))
+    lacking = np.zeros(len(asked), dtype=bool)
     for index in doubtful:
         values[index] = np.nan
         try:
-            if on_failure == "raise" or np.isfinite(rows[index]).all():
-                values[index] = np.ravel(reference(rows[index]))
-            else:
-                failed[index] = True
+            values[index] = np.ravel(reference(asked[index]))
         except PM3DofError:
             if on_failure == "raise":
                 raise
-            failed[index] = True
-    redone = np.zeros(len(rows), dtype=bool)
-    redone[doubtful] = ~failed[doubtful]
-    if len(doubtful):
+            lacking[index] = True
+    redone, failed = np.zeros(len(rows), dtype=bool), np.ones(len(rows), dtype=bool)
+    redone[np.flatnonzero(known)[doubtful]] = ~lacking[doubtful]
+    failed[known] = lacking
+    if asked is not rows:
+        every = np.full((len(rows), *values.shape[1:]), np.nan)
+        every[known] = values
+        values = every
+    if redone.any() or failed.any():
         _logger.info(
             "%s of %s: %d of %d poses computed by Pinocchio and singular values, %d without a value",
             *(name, robot.name, int(redone.sum()), len(rows), int(failed.sum())),

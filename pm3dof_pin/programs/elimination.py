@@ -274,9 +274,8 @@ def solve_upper(triangle: Objects, right: Objects) -> Objects:
     solution = zeros(*right.shape)
     for i in reversed(range(len(triangle))):
         inverse = 1.0 / triangle[i, i]
-        for c in range(right.shape[1]):
-            terms = [triangle[i, j] * solution[j, c] for j in range(i + 1, len(triangle))]
-            solution[i, c] = (right[i, c] - total(terms)) * inverse
+        known = product(triangle[i : i + 1, i + 1 :], solution[i + 1 :])[0]
+        solution[i] = (right[i] - known) * inverse
     return solution
 
 
@@ -394,8 +393,9 @@ def product(a: Objects, b: Objects) -> Objects:
     """Return the matrix product; unlike `@`, also for empty axes."""
     result = zeros(a.shape[0], b.shape[1])
     for i, row in enumerate(a):
+        terms = [(x, b[k]) for k, x in enumerate(row) if not is_zero(x)]
         for j in range(b.shape[1]):
-            result[i, j] = total([x * y for x, y in zip(row, b[:, j], strict=True) if not (is_zero(x) or is_zero(y))])
+            result[i, j] = total([x * other[j] for x, other in terms if not is_zero(other[j])])
     return result
 
 

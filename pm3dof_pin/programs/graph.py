@@ -473,7 +473,7 @@ def _multiply(a: Number, b: Number) -> Number:
         a, b = b, a
     if a.value is not None:
         if b.value is not None:
-            return a.graph.constant(_folded("multiply", a.value, b.value))
+            return a.graph.constant(a.value * b.value)
         if a.value == 0.0:
             return a
         if a.value == 1.0:

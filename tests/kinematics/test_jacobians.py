@@ -11,9 +11,10 @@ import pytest
 import pm3dof_pin as pm
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, tool_coordinates
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.kinematics import jacobians
+from pm3dof_pin.kinematics import jacobian_programs
 from pm3dof_pin.kinematics.branches import samples_near_home
-from pm3dof_pin.kinematics.jacobians import jacobian, jacobian_program, motion_rates
+from pm3dof_pin.kinematics.jacobian_programs import jacobian_program
+from pm3dof_pin.kinematics.jacobians import jacobian, motion_rates
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Engine
 
@@ -136,7 +137,7 @@ def test_joints_follow_in_the_order_that_takes_fewer_operations(monkeypatch: pyt
     robot = pm.load("hexapod")
     ends = motion_rates(robot, "of", "commands"), motion_rates(robot, "by", "coordinates")
     of_two = jacobian_program(robot, *ends, samples_near_home(robot), with_derivatives=True)
-    monkeypatch.setattr(jacobians, "_MANY", 0)
+    monkeypatch.setattr(jacobian_programs, "_MANY", 0)
     of_one = jacobian_program(robot, *ends, samples_near_home(robot), with_derivatives=True)
     assert len(of_two) < 0.7 * len(of_one)
 

@@ -22,7 +22,8 @@ from pm3dof_pin.elastic.traced import traced_program
 from pm3dof_pin.errors.error_parameters import all_parameters
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.kinematics.branches import samples_near_home
-from pm3dof_pin.kinematics.jacobians import jacobian_program, motion_rates
+from pm3dof_pin.kinematics.jacobian_programs import jacobian_program
+from pm3dof_pin.kinematics.jacobians import motion_rates
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs.closing import Task, closing_program
 from pm3dof_pin.programs.llvm import Compiled
