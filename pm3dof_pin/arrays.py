@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.typing import Vector
 
-_MAX_MAGNITUDE = 1e100  # the product of any three is a number
+MAX_MAGNITUDE = 1e100  # the product of any three is a number
 _LARGE = 2**26  # bytes
 _LISTED = 18  # numbers of a vector in a message
 _NOTHING = 1e-14  # numbers of smaller size are listed as 0
@@ -59,8 +59,8 @@ def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDAr
     array = np.array(real_array(name, values))
     if array.shape not in shapes:
         raise ShapeError(name, array.shape, f"{' or '.join(map(str, shapes))}")
-    if not (np.abs(array) <= _MAX_MAGNITUDE).all():  # also catches NaN
-        raise InvalidValueError(name, array, f"finite numbers of at most {_MAX_MAGNITUDE:g}")
+    if not (np.abs(array) <= MAX_MAGNITUDE).all():  # also catches NaN
+        raise InvalidValueError(name, array, f"finite numbers of at most {MAX_MAGNITUDE:g}")
     return array
 
 

@@ -15,7 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import MAX_MAGNITUDE
 from pm3dof_pin.exceptions import DescriptionError, MeasurementError, lines_in_words
 from pm3dof_pin.files import csv_text, read_text, without_apostrophe
 from pm3dof_pin.typing import Array, Mask
@@ -226,17 +228,21 @@ class CsvTable:
             return None
         with suppress(ValueError):
             numbers = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2) if any(lines) else np.zeros((0, 0))
-            return numbers if numbers.shape[1] == len(read) else None
+            return numbers if numbers.shape[1] == len(read) and not _too_large(numbers).any() else None
         return None
 
     def _number(self, cell: str, column: str) -> float:
         word = without_apostrophe(cell.strip())
         try:
-            return plain_number(word.replace(",", ".") if self._decimal_commas else word) if word else np.nan
+            number = plain_number(word.replace(",", ".") if self._decimal_commas else word) if word else np.nan
         except ValueError as error:
             digits = "" if word.isascii() else " in digits 0 to 9"
             problem = f"{column} is '{word}', expected a number{digits}"
             raise MeasurementError(self.path, problem, [self.lines[-1]]) from error
+        if _too_large(number):
+            problem = f"{column} is '{word}', expected a number of at most {MAX_MAGNITUDE:g}"
+            raise MeasurementError(self.path, problem, [self.lines[-1]])
+        return number
 
 
 def plain_number(word: str) -> float:
@@ -244,6 +250,11 @@ def plain_number(word: str) -> float:
     if not word.isascii() or "_" in word:
         raise ValueError(word)
     return float(word)
+
+
+def _too_large(numbers: ArrayLike) -> Any:
+    """Tell which finite numbers have squares that may not be."""
+    return np.isfinite(numbers) & (np.abs(numbers) > MAX_MAGNITUDE)
 
 
 def _is_numbers(line: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,6 +16,8 @@ from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.registration import register
 from pm3dof_pin.typing import Array, Mask
+
+_logger = logging.getLogger(__name__)
 
 _POINTS = 41  # along each coordinate
 
@@ -45,7 +48,10 @@ class WorkspaceErrors:
 
     @classmethod
     def from_fit(cls, calibration: Fit) -> WorkspaceErrors | None:
-        """Compute errors over the first two coordinates with ranges, at mean measured conditions; None without two."""
+        """Compute errors over the first two coordinates with ranges, at mean measured conditions.
+
+        None without two such coordinates, and where no pose of the section is within reach of the calibrated machine.
+        """
         compensation = calibration.compensation
         robot = compensation.errors.robot
         grid = section_grid(robot, points=_POINTS)
@@ -59,6 +65,10 @@ class WorkspaceErrors:
         expected = compensation.compensate(poses[within], known, on_failure="nan").predicted_error
         # near singular poses the machine may not reach as far as its description
         taken = np.isfinite(expected) & compensation.model_poses(poses[within], "nan").solved
+        if not taken.any():
+            names, count = " and ".join(grid.dims), int(within.sum())
+            _logger.warning("no map over %s: errors are known at none of %d poses within the limits", names, count)
+            return None
         inside = tuple(indices[taken] for indices in np.nonzero(within))
         nominal, expected = poses[inside], expected[taken]
         seen = compensation.poses(nominal, conditions).transforms

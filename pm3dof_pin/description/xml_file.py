@@ -34,9 +34,11 @@ def children(element: Element, *tags: str) -> list[Element]:
 
 
 def child(element: Element | None, tag: str) -> Element | None:
-    """Return the first child with a tag, or None."""
-    found = None if element is None else element.find(tag)
-    return found if isinstance(found, Element) else None
+    """Return the child with a tag, or None; DescriptionError if there are several: none says which one counts."""
+    found = [] if element is None else children(element, tag)
+    if len(found) > 1:
+        raise found[1].origin.error(f"<{tag}>", f"stands {len(found)} times in one element, expected it once")
+    return found[0] if found else None
 
 
 def read_xml(path: Path | str) -> Element:

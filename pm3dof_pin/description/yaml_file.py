@@ -24,12 +24,13 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
     """Read a YAML file whose top level is a mapping of plain data.
 
     Raises:
-        DescriptionError: the file is missing, too large, too deeply nested, not YAML, or not a mapping.
+        DescriptionError: the file is missing, too large, too deeply nested, not YAML or not a mapping, or has a
+            key twice.
     """
     path = Path(path)
     try:
         text = read_text(path)
-        _check_nesting(path, text)
+        _check_structure(path, text)
         data = yaml.load(text, Loader=_LOADER)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
@@ -88,17 +89,29 @@ def _line_of(path: Path, element: str) -> int | None:
     return line
 
 
-def _check_nesting(path: Path, text: str) -> None:
-    """Refuse deeply nested lists and mappings, since the loader is recursive."""
-    depth = 0
+def _check_structure(path: Path, text: str) -> None:
+    """Refuse lists and mappings that are nested deeply, since the loader is recursive, and keys that stand twice.
+
+    Of such a key the loader would take the last value.
+    """
+    keys: list[set[str] | None] = []  # of the mappings and lists around an event, which have none
+    at_value: list[bool] = []
     for event in yaml.parse(text, Loader=_LOADER):
+        place = f"line {event.start_mark.line + 1}" if event.start_mark else "file"
+        if isinstance(event, yaml.NodeEvent) and keys and (known := keys[-1]) is not None:
+            if not at_value[-1] and isinstance(event, yaml.ScalarEvent):
+                if event.value in known:
+                    raise DescriptionError(path, place, f"has '{event.value}' twice in one mapping, expected it once")
+                known.add(event.value)
+            at_value[-1] = not at_value[-1]
         if isinstance(event, yaml.CollectionStartEvent):
-            depth += 1
-            if depth > _MAX_DEPTH:
-                place = f"line {event.start_mark.line + 1}" if event.start_mark else "file"
+            keys.append(set() if isinstance(event, yaml.MappingStartEvent) else None)
+            at_value.append(False)
+            if len(keys) > _MAX_DEPTH:
                 raise DescriptionError(path, place, f"expected lists and mappings at most {_MAX_DEPTH} deep")
         elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
+            keys.pop()
+            at_value.pop()
 
 
 def _size(data: Any, known: dict[int, float]) -> float:

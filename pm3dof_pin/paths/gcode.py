@@ -24,7 +24,7 @@ from pm3dof_pin.typing import Array, Matrix, Vector
 MACHINE = 53
 """Number of the coordinate system of the machine: the base of the robot."""
 
-_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))", re.ASCII)
 _COMMENT = re.compile(r"\([^()]*\)")
 _AXES = "XYZABC"
 _LINEAR = 3  # of these, the rest are angles

@@ -20,7 +20,7 @@ import numpy as np
 
 from pm3dof_pin.exceptions import MeasurementError
 
-_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)"
+_NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
 _COMMAND = re.compile(r"\bG33(?![\d.])(?!\s*AUTO)([^;]*)")
 _WORD = re.compile(rf"([A-Z])\s*({_NUMBER})")
 _RADIUS = re.compile(rf"Checking\.\.\. AC at radius:\s*({_NUMBER})")

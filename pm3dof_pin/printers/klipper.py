@@ -32,6 +32,7 @@ _NOTE = "#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated."
 _SECTION, _OPTION = re.compile(r"\[([^\]]+)\]"), re.compile(r"([^:=\s][^:=]*?)\s*[:=]\s*(.*)")
 _ANGLES = {"delta": (210.0, 330.0, 90.0), "rotary_delta": (30.0, 150.0, 270.0)}
 _FULL_STEPS = 200.0
+_MOST_STEPS = 1e9  # from an end stop; also catches NaN
 _MAX_INCLUDES = 100  # files
 _COMMENT = re.compile(r"#|(?:^|\s);")
 _MESH = "bed_mesh default"
@@ -255,7 +256,7 @@ class KlipperFile:
                     place = np.array([float(word) for word in words])
                 except ValueError:
                     place = np.empty(0)
-                if place.shape != (3,) or not np.isfinite(place).all():
+                if place.shape != (3,) or not (np.abs(place) < _MOST_STEPS).all():
                     raise MeasurementError(
                         self.path, f"[delta_calibrate] {label}{end}: expected the steps of three drives"
                     )

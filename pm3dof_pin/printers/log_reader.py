@@ -20,13 +20,14 @@ from typing import Any, Literal
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.printers.g33 import G33Reports, radius_of_g33
 
-_NUMBER = r"[-+]?\d+(?:\.\d*)?|[-+]?\.\d+"
+_NUMBER = r"[-+]?[0-9]+(?:\.[0-9]*)?|[-+]?\.[0-9]+"
+_ENDED = r"(?=[\s,\"'\\]|$)"  # after a number of an answer: else it is another one, as 1 is of 1e3 and of 1:30
 _WORD = re.compile(rf"([A-Z])\s*({_NUMBER})")
 _ARMS = re.compile(rf"L\s*((?:{_NUMBER})(?:\s*:\s*(?:{_NUMBER}))*)")
-_WORDS = re.compile(rf"(?:\s*[A-DF-Z]\s*(?:{_NUMBER})(?:\s*:\s*(?:{_NUMBER}))*)+\s*(?:\*\d+)?\s*")
-_MARLIN = re.compile(rf"Bed X:\s*({_NUMBER})\s*Y:\s*({_NUMBER})\s*Z:\s*({_NUMBER})(?![\w.,])")
+_WORDS = re.compile(rf"(?:\s*(?:{_ARMS.pattern}|[A-DF-Z]\s*(?:{_NUMBER})))+\s*(?:\*\d+)?\s*")
+_MARLIN = re.compile(rf"Bed X:\s*({_NUMBER})\s*Y:\s*({_NUMBER})\s*Z:\s*({_NUMBER})(?!,){_ENDED}")
 _FAILED = "probing failed|not set"
-_HEIGHTS = re.compile(rf"bed probe heights:\s*((?:(?:{_NUMBER}|{_FAILED})[\s,]*)+)", re.IGNORECASE)
+_HEIGHTS = re.compile(rf"bed probe heights:\s*((?:(?:{_NUMBER}|{_FAILED}){_ENDED}[\s,]*)*)([-+.\d]?)", re.IGNORECASE)
 _DIAGNOSTICS = re.compile(r"Bed compensation in use|Error status")  # M122 prints heights of some points after these
 _POINT = re.compile(r"\bG30(?!\d)[^;]*P\s*\d+[^;]*")
 _COLOUR = re.compile(r"\x1b\[[\d;?]*[A-Za-z]|\0")
@@ -122,7 +123,7 @@ class LogReader:
             self._reports.settings.clear()
             self._doubts.pop(_M666, None)
         elif ("M851" in code and is_command) or ("G31" in code and not words.get("K")):  # of the first probe
-            if re.search(rf"[XY](?!\s*(?:{_NUMBER}))", code):
+            if re.search(rf"[XY](?!\s*(?:{_NUMBER})(?![0-9.:]))", code):
                 raise MeasurementError(self._path, f"'{code.strip()}': expected numbers after X and Y", [number])
             self._probe = self._probe | {letter: words[letter] for letter in "XYZ" if letter in words}
         elif "Bed X:" in line:
@@ -132,7 +133,10 @@ class LogReader:
             self._add([(float(found[1]), float(found[2]), float(found[3]), False)], number, "Marlin")
         elif reported := self._reports.heights(line, number, radius_of_g33(self.geometry)):
             self._add([(*row, True) for row in reported], number, "Marlin")
-        elif (found := _HEIGHTS.search(line)) and not is_of_diagnostics:
+        elif (found := _HEIGHTS.search(line)) and any(found.groups()) and not is_of_diagnostics:
+            if found[2]:
+                problem = f"'{line.strip()}': expected numbers, as in bed probe heights: 0.12 -0.03"
+                raise MeasurementError(self._path, problem, [number])
             self._answer_of_points(found[1], number)
         elif is_point and {"X", "Y"} <= set(words):
             self._points = {} if words["P"] == 0.0 else self._points

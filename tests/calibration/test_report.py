@@ -174,6 +174,15 @@ def test_maps_know_before_after_and_the_floor(calibration: Calibration) -> None:
     assert np.nanmean(maps.after) < 0.6 * np.nanmean(maps.before)
 
 
+def test_a_section_out_of_reach_has_no_map(calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = calibration.compensation.errors.robot
+    beyond = robot.grid(theta_x=(1.3, 1.4, 2), theta_y=(1.3, 1.4, 2))  # tilts are at most 45 degrees
+    monkeypatch.setattr(workspace_errors, "section_grid", lambda robot, points: beyond)
+    without = replace(calibration)
+    assert without.workspace_errors is None
+    assert "workspace" not in without.pictures()
+
+
 def test_a_folder_is_replaced_whole_or_left_alone(calibration: Calibration, tmp_path: Path) -> None:
     target = tmp_path / "calibration"
     calibration.save(target)

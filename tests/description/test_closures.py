@@ -133,6 +133,8 @@ def test_a_robot_without_loops_is_a_robot(tmp_path: Path) -> None:
         (TWO_LOOPS + "springs: [stiff]\n", "springs[0]", "expected a mapping, not 'stiff'"),
         (TWO_LOOPS + "3: 4\n", "file", "expected names as keys"),
         ("closed_loop: [[a, b]\ntype: x\n", "line 2", "expected YAML"),
+        (TWO_LOOPS + "tool_frame: a\ntool_frame: b\n", "line 6", "has 'tool_frame' twice in one mapping"),
+        (COMMAND.format("unit: m, offset: 1.0, unit: m"), "line 2", "has 'unit' twice in one mapping"),
         (COMMAND.format("unit: mm"), "commands[0].unit", "expected one of m, rad, not 'mm'"),
         (COMMAND.format("offset: 1.0"), "commands[0].unit", "is missing"),
         (COMMAND.format("unit: m, offset: true"), "commands[0].offset", "expected a number, not True"),

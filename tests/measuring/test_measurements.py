@@ -305,6 +305,7 @@ def test_euler_angles_of_unknown_order_are_refused(
         (HEADER.replace("z_m,", "") + "\n", "line 1: no column z_m"),
         (HEADER.replace(",qz", "") + "\n", "line 1: no column qz"),
         (HEADER + ",sigma_x_m\n", "line 1: no column sigma_y_m"),
+        (HEADER + "\n0.24,0.24,0.24,1e300,0,0.49,1,0,0,0\n", "line 2: x_m is '1e300', expected a number of at most 1e"),
         (HEADER + "\n0.24,0.24,0.24,0.2 m,0,0.49,1,0,0,0\n", "line 2: x_m is '0.2 m', expected a number"),
         (HEADER + "\n0.24,0.24,0.24,1_0,0,0.49,1,0,0,0\n", "line 2: x_m is '1_0', expected a number"),
         (HEADER + "\n0.24,0.24,0.24,0,0,0.49,1.5,0,0,0\n", "line 2: .* not a rotation: its length is 1.5"),

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import logging
 import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -129,6 +130,10 @@ def test_unknown_robot() -> None:
         ('<sdf version="1.9"><model name="arm"/></sdf>', "<model name='arm'>", "has no links"),
         (ARM.replace('<link name="forearm"/>', ""), "joint 'elbow': child", "forearm"),
         (ARM.replace('lower="-1"', 'lower="low"'), "joint 'elbow': limit: lower", "'low'"),
+        (ARM.replace("<axis ", '<axis xyz="1 0 0"/><axis ', 1), "<axis>", "stands 2 times in one element"),
+        (ARM.replace("<axis", '<origin xyx="1 0 0"/><axis', 1), "<origin>", "unknown attribute 'xyx', expected 'xyz'"),
+        (ARM.replace("<axis xyz", "<axis XYZ", 1), "<axis>", "unknown attribute 'XYZ', expected 'xyz'"),
+        (re.sub("<axis [^/]*/>", "<axis/>", ARM), "joint '.*': axis", "has no xyz, expected 3 numbers"),
     ],
 )
 def test_a_bad_urdf_is_one_error_and_silence(

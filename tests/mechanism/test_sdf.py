@@ -189,6 +189,8 @@ def test_these_files_are_valid(tmp_path: Path, text: str) -> None:
         ("<xyz>0 0 1</xyz>", "<xyz>0 0 0</xyz>", "expected a direction"),
         ("0 0.3 0 0 0 0", "0 0.3 0 0 0", "expected 6 numbers"),
         ("0 0.3 0 0 0 0", "0 0.3 nan 0 0 0", "not 'nan'"),
+        ("0 0.3 0 0 0 0", "0 0.3 1e30 0 0 0", "pose: expected at most 10000 m"),
+        ("<xyz>0 0 1</xyz>", "<xyz>0 0 1</xyz><xyz>0 1 0</xyz>", "<xyz>: stands 2 times in one element"),
         ('link name="crank"', 'link name="ground"', "defined twice"),
         (
             "</model>",

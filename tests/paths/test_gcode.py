@@ -187,6 +187,7 @@ def test_placed_systems_turn_positions_and_the_tool() -> None:
         ("G0 G1 X1 F1", "exclude each other"),
         ("X1", "without a motion"),
         ("G0 X1 X2", "two words X"),
+        ("G0 X\u0661", "'X\u0661' is not understood"),
         ("G0 X#1", "'X#1' is not understood"),
         ("G0 X1 (half", "an unclosed comment"),
         ("G2 X1 Y1 R0.1 F1", "too small"),

@@ -854,6 +854,7 @@ DAMAGES = (
     ("delta_radius: 130.0", "delta_radius: nan", "expected a number"),
     ("microsteps: 16", "", "microsteps is missing"),
     ("height3_pos = ", "height3_pos = 1,", "height3_pos: expected the steps of three drives"),
+    ("height3_pos = ", "height3_pos = 1e30,1,1\nx = ", "height3_pos: expected the steps of three drives"),
     ("height0 = 0.0", "nothing = 0.0", "height0 is missing"),
     ("height4 = 0.0", "nothing = 0.0", "height4 is missing"),
     ("[printer]", "[machine]", "no delta printer"),

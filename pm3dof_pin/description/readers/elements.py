@@ -12,6 +12,7 @@ from pm3dof_pin.description.physical_bounds import ANY, Bounds, parse_numbers
 from pm3dof_pin.description.xml_file import Element
 
 _ALIKE = 0.75  # likeness of a name to a known one, from 0 to 1, that makes it a typing error
+_SHORT, _ALIKE_IF_SHORT = 3, 0.6  # letters of a name that is short, and the likeness there: of xyx to xyz 2/3
 _LONGER = 2  # letters by which a typing error is longer or shorter
 _CARRIES = ("joint", "loop", "constraint", "coupling", "gear", "mimic", "closure", "transmission", "actuator", "tendon")
 _ENDS = frozenset({
@@ -121,4 +122,5 @@ def free_name(name: str, taken: Collection[str] | Mapping[str, object], suffix: 
 
 def _nearest(name: str, known: Collection[str]) -> str:
     alike = [word for word in known if abs(len(word) - len(name)) <= _LONGER]
-    return next(iter(difflib.get_close_matches(name, alike, n=1, cutoff=_ALIKE)), "")
+    cutoff = _ALIKE if len(name) > _SHORT else _ALIKE_IF_SHORT
+    return next(iter(difflib.get_close_matches(name.lower(), alike, n=1, cutoff=cutoff)), "")

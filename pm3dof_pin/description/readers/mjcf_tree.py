@@ -257,8 +257,7 @@ class MjcfTree(MjcfElements):
     def scaled_bodies(self) -> list[Body]:
         """Return the bodies with the total mass, and least masses, that the compiler settings ask for."""
         compiler, root = self.document.compiler, self.document.root
-        section = child(root, "compiler")
-        section = root if section is None else section
+        section = next(iter(children(root, "compiler")), root)  # there may be several
         bodies = list(self.bodies.values())
         settings = Element("compiler", dict(compiler))
         settings.path, settings.line = section.path, section.line

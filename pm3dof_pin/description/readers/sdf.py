@@ -323,12 +323,15 @@ class _SdfReader(ElementReader):
         if (pose := child(element, "pose")) is None or not (pose.text or "").strip():
             return IDENTITY
         place = f"{place}: pose"
-        if pose.get("rotation_format") == "quat_xyzw":
-            *position, x, y, z, w = self._texts(pose, 7, ANY, place)
+        is_quaternion = pose.get("rotation_format") == "quat_xyzw"
+        numbers = self._texts(pose, 7 if is_quaternion else 6, ANY, place)
+        if problem := LENGTH.problem(max(numbers[:3], key=abs)):
+            raise pose.origin.error(place, problem)
+        if is_quaternion:
+            *position, x, y, z, w = numbers
             if not math.hypot(x, y, z, w):
                 raise pose.origin.error(place, "expected a quaternion, not zero")
             return Placement.from_quaternion(tuple(position), (w, x, y, z))
-        numbers = self._texts(pose, 6, ANY, place)
         unit = math.radians(1.0) if pose.get("degrees") in ("true", "1") else 1.0
         return Placement.from_angles(numbers[:3], tuple(unit * angle for angle in numbers[3:]))
 

@@ -341,9 +341,11 @@ class UrdfReader(ElementReader):
 
     def axis(self, element: Element, place: str, tag: str = "axis") -> tuple[float, ...]:
         """Return the `<axis>` of an element; x if it has none."""
-        axis = child(element, tag)
-        xyz = self.numbers(axis, "xyz", 3, ANY, f"{place}: {tag}", (1.0, 0.0, 0.0))
-        if axis is not None and max(map(abs, xyz)) < _MIN_AXIS:
+        if (axis := child(element, tag)) is None:
+            return (1.0, 0.0, 0.0)
+        self._known(axis)
+        xyz = self.numbers(axis, "xyz", 3, ANY, f"{place}: {tag}")
+        if max(map(abs, xyz)) < _MIN_AXIS:
             raise axis.origin.error(f"{place}: {tag}", f"expected a direction, not '{axis.get('xyz')}'")
         return xyz
 
