@@ -384,7 +384,9 @@ class _SdfReader(ElementReader):
             geometry = child(element, "geometry")
             for shape in [] if geometry is None else children(geometry):
                 pose = self._pose(element, f"{place}: {tag}")
-                colour = child(child(element, "material"), "diffuse")
+                colour = next(
+                    (c for material in children(element, "material") for c in children(material, "diffuse")), None
+                )
                 rgba = None if colour is None else (*self._texts_of_colour(colour), 1.0)[:4]
                 if shape.tag == "mesh":
                     uri = self._text(shape, "uri").replace("model://", "package://")

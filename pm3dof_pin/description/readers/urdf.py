@@ -221,7 +221,7 @@ class UrdfReader(ElementReader):
             if not shape.get("filename"):
                 raise shape.origin.error(place, "has no filename, expected one")
             sizes = self.numbers(shape, "scale", 3, ANY, place, (1.0, 1.0, 1.0))
-        material = child(element, "material")
+        material = next(iter(children(element, "material")), None)  # several are only a matter of looks
         colour = self._colour_of(material) if material is not None else None
         if material is not None and colour is None:
             colour = self.colours.get(material.get("name", ""))
