@@ -19,6 +19,7 @@ from pm3dof_pin.typing import Array, Indices, Mask, Matrix, Vector
 _ROUNDING = 1e-9
 _FURTHER_STARTS = 16  # for the inverse kinematics of a serial arm
 _NEAREST = 4  # poses of the lattice from which one is sought: a singular pose may lie between it and the nearest
+_COMPARED = 2**15  # distances at a time, as many as stay in a processor's cache
 _WAYPOINTS = 1000
 _FEWEST_ALONG, _MAX_WAYPOINTS = 3, 10_000  # along each coordinate; in all, or there are none
 _PROJECTIONS = 30  # onto the limits
@@ -152,13 +153,20 @@ def _nearest_poses(
     robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], values: Matrix, q: Matrix, targets: Matrix
 ) -> Iterator[Matrix]:
     """Yield the poses q whose coordinates are nearest to each target, shape=(n, nq), then those next to it."""
-    from scipy.spatial import KDTree  # slow to load
-
+    if not len(q):
+        return
     units = coordinate_scales(robot, coordinates)
-    if count := min(_NEAREST, len(q)):
-        ranks = np.arange(1, count + 1)
-        _, nearest = KDTree(values / units).query(np.nan_to_num(targets / units), k=ranks, p=np.inf)
-        yield from (q[numbers] for numbers in nearest.T)
+    known, count = (values / units).T, min(_NEAREST, len(q))
+    nearest, size = np.empty((count, len(targets)), dtype=np.intp), max(_COMPARED // len(q), 1)
+    for first in range(0, len(targets), size):  # a search tree would take longer to import than this to compare
+        part = np.nan_to_num(targets[first : first + size] / units).T
+        distances, rows = np.zeros((part.shape[1], len(q))), np.arange(part.shape[1])
+        for own, others in zip(part, known, strict=True):
+            np.maximum(distances, np.abs(own[:, None] - others), out=distances)
+        for chosen in nearest[:, first : first + size]:
+            chosen[:] = distances.argmin(axis=1)
+            distances[rows, chosen] = np.inf
+    yield from (q[chosen] for chosen in nearest)
 
 
 def _within_arms_length(robot: PlacedMechanism, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Matrix:

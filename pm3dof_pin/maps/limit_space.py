@@ -54,6 +54,10 @@ class LimitSpace:
     branches: Callable[[Array], tuple[Flags, NDArray[np.int64]]] | None = None
     #: which points of a product grid are within the limits, if that takes less than point by point
     over_grid: Callable[[Sequence[Array]], NDArray[np.bool_]] | None = None
+    #: the limits broken at points, and the configurations there, from those at points nearby (from home where NaN),
+    #: shape=(n, nq), if that takes less than from home
+    followed: Callable[[Array, Array], tuple[Flags, Array]] | None = None
+    nq: int = 0  #: of them
 
     @property
     def stacked(self) -> bool:
@@ -64,11 +68,29 @@ class LimitSpace:
         """Tell which points are within the limits, shape=(..., number of coordinates); or (..., 2), at a level."""
         if level is not None:
             points = np.concatenate([points, np.full((*points.shape[:-1], 1), level)], axis=-1)
-        within: NDArray[np.bool_] = np.ones(points.shape[:-1], dtype=bool)
-        if self.ends is not None:  # no loops are closed outside
-            within &= np.all((points >= self.ends[:, 0]) & (points <= self.ends[:, 1]), axis=-1)
+        within = self._within_ends(points)
         within[within] = self.broken_limits(points[within]) == 0
         return within
+
+    def limits_from(self, points: Array, near: Array) -> tuple[Flags, Array]:
+        """Return the sums of the limits that points break, shape=(n,), and their configurations, shape=(n, nq).
+
+        They are found from the configurations of points nearby, from home where these are NaN; NaN where there is none.
+        """
+        return (self.broken_limits(points), near) if self.followed is None else self.followed(points, near)
+
+    def within_from(self, points: Array, near: Array) -> tuple[NDArray[np.bool_], Array]:
+        """Tell which points are within the limits, shape=(n,), and return their configurations as `limits_from`."""
+        within, q = self._within_ends(points), np.full_like(near, np.nan)
+        flags, q[within] = self.limits_from(points[within], near[within])
+        within[within] = flags == 0
+        return within, q
+
+    def _within_ends(self, points: Array) -> NDArray[np.bool_]:
+        """Tell which points are within the declared ranges, outside of which no loops are closed."""
+        if self.ends is None:
+            return np.ones(points.shape[:-1], dtype=bool)
+        return np.asarray(np.all((points >= self.ends[:, 0]) & (points <= self.ends[:, 1]), axis=-1))
 
     def within_grid(self, axes: Sequence[Array]) -> NDArray[np.bool_]:
         """Tell which points of a product grid are within the limits, from the increasing values of each coordinate."""
@@ -130,10 +152,23 @@ def robot_space(
         box.append((low - _AROUND * (high - low), high + _AROUND * (high - low)))
     judged, beyond = _judged(robot, chosen, fixed, "all" if all_branches else "home"), 1 << len(limit_names(robot))
 
-    def with_ranges(values: Array) -> tuple[Flags, NDArray[np.int64]]:
+    def of_ranges(values: Array) -> Flags:
         outside = np.any((values < ends[:, 0]) | (values > ends[:, 1]), axis=-1)
+        return np.where(outside, np.uint32(beyond), np.uint32(0))
+
+    def with_ranges(values: Array) -> tuple[Flags, NDArray[np.int64]]:
         flags, branches = judged(values)
-        return np.asarray(flags | np.where(outside, np.uint32(beyond), np.uint32(0))), branches
+        return flags | of_ranges(values), branches
+
+    complete = coordinates_over(robot, chosen, fixed)
+
+    def followed(values: Array, near: Array) -> tuple[Flags, Array]:
+        flags, q, from_home = of_ranges(values), np.empty_like(near), np.isnan(near[:, 0])
+        for rows, guess in ((from_home, None), (~from_home, near[~from_home])):
+            poses = robot.solve(complete(values[rows]), guess=guess, on_failure="nan")
+            flags[rows] |= poses.broken_limits
+            q[rows] = poses.q
+        return flags, q
 
     at_home = {c.name: value for c, value in zip(robot.coordinates, robot.home_coordinates, strict=True)}
     others = {name: value for name, value in {**at_home, **(fixed or {})}.items() if name not in chosen}
@@ -167,6 +202,8 @@ def robot_space(
         density=_density(robot),
         branches=with_ranges if all_branches else None,
         over_grid=over_grid if solver is not None else None,
+        followed=followed if solver is not None and robot.has_branches and not all_branches else None,
+        nq=robot.model.nq,
     )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.poses import REACH
 from pm3dof_pin.maps.datasets import NamedArray, NamedArrays, coordinate_attributes, dataset_attributes, flag_variable
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace, nodes
 from pm3dof_pin.typing import Array, Mask, Vector
@@ -367,7 +368,8 @@ def _extremes(
     once more the way that the pose took, up to twice as far as such a move came last, so that it does not creep along
     ridges and into cusps. Coordinates that are not free do not change.
     """
-    best, moved = starts.copy(), np.flatnonzero(np.isin(np.arange(starts.shape[1]), free))
+    best, q = starts.copy(), space.within_from(starts, np.full((len(starts), space.nq), np.nan))[1]
+    moved = np.flatnonzero(np.isin(np.arange(starts.shape[1]), free))
     d = len(moved) - 1
     side = np.linspace(-1.0, 1.0, (_PATCH if space.density == 1.0 else _COARSE_PATCH)[d])
     square = np.stack(np.meshgrid(*[side] * d, indexing="ij"), axis=-1).reshape(-1, d)
@@ -382,29 +384,31 @@ def _extremes(
     smallest = tolerance * _SEARCH_POINTS if space.density == 1.0 else min(_COARSER * tolerance * _SEARCH_POINTS, 0.05)
     while (active := np.flatnonzero(size > smallest)).size:
         patch = best[active, None] + size[active, None, None] * offsets[active]
-        here, low, chosen = _pushed(space, patch, steps[active], size[active], cell)
+        here, low, chosen, there = _pushed(space, patch, steps[active], size[active], cell, q[active])
         creeps = (low > 0.0) & (at_edge[chosen] | (low > 0.5 * size[active]))
         size[active[~creeps]] *= 0.5
-        best[active[low > 0.0]] = here[low > 0.0]
+        best[active[low > 0.0]], q[active[low > 0.0]] = here[low > 0.0], there[low > 0.0]
         active, here = active[creeps], here[creeps]
         way = here - former[active]
         way /= np.abs(way / cell)[np.arange(len(active)), axes[active], None]
         former[active] = here
         patch = here[:, None] + size[active, None, None] * offsets[active]
-        here, low, _ = _pushed(space, patch, way, length[active], cell)
-        best[active[low > 0.0]] = here[low > 0.0]
+        here, low, _, there = _pushed(space, patch, way, length[active], cell, q[active])
+        best[active[low > 0.0]], q[active[low > 0.0]] = here[low > 0.0], there[low > 0.0]
         length[active] = np.maximum(2.0 * low, size[active])
     return best
 
 
 def _pushed(
-    space: LimitSpace, patches: Array, steps: Array, lengths: Array, cell: Array
-) -> tuple[Array, Vector, NDArray[np.intp]]:
+    space: LimitSpace, patches: Array, steps: Array, lengths: Array, cell: Array, near: Array
+) -> tuple[Array, Vector, NDArray[np.intp], Array]:
     """Move patches, shape=(m, k, d), as far as any of their points stays in the set.
 
-    Returns the points in the middle of those that stay, shape=(m, d), how far they came in steps of the patches, at
-    most the lengths and 0 if none stays, and their numbers, shape=(m,) each.
+    Configurations are found from those near the patches, shape=(m, nq). Returns the points in the middle of those that
+    stay, shape=(m, d), how far they came in steps of the patches, at most the lengths and 0 if none stays, and their
+    numbers, shape=(m,) each; and the configurations there, shape=(m, nq).
     """
+    q = np.repeat(near[:, None], patches.shape[1], axis=1)
     alive = np.ones(patches.shape[:2], dtype=bool)
     low, high = np.zeros(len(patches)), lengths
     middle = _LEAST_MOVE * high  # points that stay behind at once are not tried farther
@@ -412,9 +416,11 @@ def _pushed(
         owner, place = np.nonzero(alive & (high > 0.0)[:, None])
         if not owner.size:
             break
-        inside = np.zeros_like(alive)
-        inside[owner, place] = space.within(patches[owner, place] + middle[owner, None] * steps[owner])
+        inside, there = np.zeros_like(alive), q.copy()
+        points = patches[owner, place] + middle[owner, None] * steps[owner]
+        inside[owner, place], there[owner, place] = space.within_from(points, q[owner, place])
         farther = inside.any(axis=1)
+        q[inside] = there[inside]
         alive[farther] = inside[farther]
         high = np.where(farther, high, np.where(low > 0.0, middle, 0.0))
         low = np.where(farther, middle, low)
@@ -422,7 +428,8 @@ def _pushed(
     centre = np.sum(patches * alive[..., None], axis=1) / alive.sum(axis=1)[:, None]
     distance = np.sum(((patches - centre[:, None]) / cell) ** 2, axis=2)
     chosen = np.argmin(np.where(alive, distance, np.inf), axis=1)
-    return patches[np.arange(len(patches)), chosen] + low[:, None] * steps, low, chosen
+    rows = np.arange(len(patches))
+    return patches[rows, chosen] + low[:, None] * steps, low, chosen, q[rows, chosen]
 
 
 def _sections(space: LimitSpace, levels: Array, known: Array, cell: Array, directions: int) -> list[WorkspaceSection]:
@@ -501,11 +508,14 @@ def _crossings(
     kept[there, 0] = inside[tuple(index[there].T)]
     inner, outer = (node(np.where(which, low, high)) for which in (kept, ~kept))
     halvings = halvings or (_BOUNDARY_HALVINGS if space.density == 1.0 else _FEW_HALVINGS)
+    q = space.within_from(inner, np.full((len(inner), space.nq), np.nan))[1]
     for _ in range(halvings if len(inner) else 0):
         middle = 0.5 * (inner + outer)
-        keeps = space.within(middle)[:, None]
-        inner, outer = np.where(keeps, middle, inner), np.where(keeps, outer, middle)
-    return inner, space.broken_limits(outer) if len(outer) else np.zeros(0, dtype=np.uint32)
+        within, there = space.within_from(middle, q)
+        keeps = within[:, None]
+        inner, outer, q = np.where(keeps, middle, inner), np.where(keeps, outer, middle), np.where(keeps, there, q)
+    limits = space.limits_from(outer, q)[0] if len(outer) else np.zeros(0, dtype=np.uint32)
+    return inner, np.where(limits == 0, REACH, limits)  # a singular pose may be reached one way and not another
 
 
 def _area(line: Array) -> float:

@@ -205,6 +205,21 @@ def test_a_grid_is_judged_as_its_points_are(name: str) -> None:
     np.testing.assert_array_equal(together, apart)
 
 
+@pytest.mark.parametrize("name", ["hexapod", "linear_delta", "three_rps"])
+def test_limits_are_the_same_from_home_and_from_poses_nearby(name: str) -> None:
+    """Where a pose nearby is unknown, and beyond the ends, too."""
+    space, random = robot_space(Robot.load(name), declared_ranges=False), np.random.default_rng(2)
+    points = random.uniform(space.box[:, 0], space.box[:, 1], (400, 3))
+    flags, q = space.limits_from(points, np.full((400, space.nq), np.nan))
+    np.testing.assert_array_equal(flags, space.broken_limits(points))
+    assert np.isfinite(q[:, 0]).any()
+    assert 0 < (flags == 0).sum() < len(flags)
+    moved = points + 0.02 * np.ptp(space.box, axis=1) * random.uniform(-1.0, 1.0, points.shape)
+    again, _ = space.limits_from(moved, q)
+    np.testing.assert_array_equal(again, space.broken_limits(moved))
+    np.testing.assert_array_equal(space.within_from(moved, q)[0], space.within(moved))
+
+
 def test_the_reference_engine_finds_the_same_on_its_coarser_grid() -> None:
     robot = Robot.load("hexapod")
     spaces = [robot_space(r, declared_ranges=False) for r in (robot, robot.with_engine("pinocchio"))]
