@@ -8,6 +8,7 @@ of their names, `x_mm` or `rz_deg`.
 from __future__ import annotations
 
 import csv
+import itertools
 import logging
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
@@ -15,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import MAX_MAGNITUDE
 from pm3dof_pin.exceptions import DescriptionError, MeasurementError, lines_in_words
@@ -43,6 +43,13 @@ _CONDITIONS = ("temperature_", "load_", "rise_", "gradient_")
 def csv_of_columns(columns: Mapping[str, Array]) -> str:
     """Return columns of numbers, shape=(n,) each, as CSV at full precision; NaN is an empty cell."""
     return csv_text([list(columns), *np.column_stack(list(columns.values())).tolist()])
+
+
+def usual_orders(count: int) -> list[tuple[int, ...]]:
+    """Return the orders that columns take by mistake, as what each holds: cyclic, two exchanged, reversed."""
+    every = tuple(range(count))
+    pairs = [tuple({a: b, b: a}.get(k, k) for k in every) for a, b in itertools.combinations(every, 2)]
+    return [*(every[k:] + every[:k] for k in every[1:]), *pairs, every[::-1]]
 
 
 def is_condition(column: str) -> bool:
@@ -228,7 +235,8 @@ class CsvTable:
             return None
         with suppress(ValueError):
             numbers = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2) if any(lines) else np.zeros((0, 0))
-            return numbers if numbers.shape[1] == len(read) and not _too_large(numbers).any() else None
+            # too large or infinite: the words tell
+            return numbers if numbers.shape[1] == len(read) and not (np.abs(numbers) > MAX_MAGNITUDE).any() else None
         return None
 
     def _number(self, cell: str, column: str) -> float:
@@ -239,7 +247,7 @@ class CsvTable:
             digits = "" if word.isascii() else " in digits 0 to 9"
             problem = f"{column} is '{word}', expected a number{digits}"
             raise MeasurementError(self.path, problem, [self.lines[-1]]) from error
-        if _too_large(number):
+        if abs(number) > MAX_MAGNITUDE and any(letter.isdigit() for letter in word):  # "inf" is meant as such
             problem = f"{column} is '{word}', expected a number of at most {MAX_MAGNITUDE:g}"
             raise MeasurementError(self.path, problem, [self.lines[-1]])
         return number
@@ -250,11 +258,6 @@ def plain_number(word: str) -> float:
     if not word.isascii() or "_" in word:
         raise ValueError(word)
     return float(word)
-
-
-def _too_large(numbers: ArrayLike) -> Any:
-    """Tell which finite numbers have squares that may not be."""
-    return np.isfinite(numbers) & (np.abs(numbers) > MAX_MAGNITUDE)
 
 
 def _is_numbers(line: str) -> bool:

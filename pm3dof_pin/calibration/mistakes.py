@@ -13,10 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pm3dof_pin.csv_table import usual_orders
 from pm3dof_pin.errors.command_correction import command_jacobians
-from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip_weights
+from pm3dof_pin.errors.pose_error import quaternion, tip_weights
 from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.angles import other_orders
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices
@@ -88,11 +90,8 @@ def _drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
         for about in (home, 0.0 * home):
             without = replace(measurements, commands=np.where(turned, 2.0 * about - commands, commands))
             yield Mistake(f"the sign of {names} is reversed", without)
-    orders: Iterator[tuple[int, ...]] = itertools.permutations(every)
-    if len(every) > _MANY:  # two exchanged, cyclic, reversed
-        pairs = [tuple({a: b, b: a}.get(k, k) for k in every) for a, b in itertools.combinations(every, 2)]
-        orders = iter([*pairs, *(every[k:] + every[:k] for k in every[1:]), every[::-1]])
-    for order in orders:
+    orders = itertools.permutations(every)
+    for order in orders if len(every) <= _MANY else usual_orders(len(every)):
         if order != every:
             # column k of the file holds the counter of drive order[k]
             moved = ", ".join(f"u{k + 1} holds u{order[k] + 1}" for k in every if order[k] != k)
@@ -129,10 +128,8 @@ def _axes(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
 
 def _quaternions(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
     if measurements.rotations is not None:
-        numbers = quaternion(measurements.rotations)
-        for words, order in (("x, y, z, w", (3, 0, 1, 2)), ("z, y, x, w", (3, 2, 1, 0))):
-            read = replace(measurements, rotations=rotation_of_quaternion(numbers[:, order]))
-            yield Mistake(f"the quaternions are in the order {words}", read)
+        for words, rotations in other_orders(quaternion(measurements.rotations)).items():
+            yield Mistake(f"the quaternions are in the order {words}", replace(measurements, rotations=rotations))
 
 
 def _frame(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:

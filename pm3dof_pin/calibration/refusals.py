@@ -16,6 +16,7 @@ from pm3dof_pin.calibration.prior import PRIOR
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.calibration.sag import sag_in_words
 from pm3dof_pin.calibration.scatter import COVERAGE
+from pm3dof_pin.calibration.ties import noticed_differences
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
@@ -54,7 +55,7 @@ _MAX_REACHED = 0.9  # fraction of the commands
 
 
 def doubts(calibration: Fit, measurements: Measurements) -> Iterator[str]:
-    """Yield what is doubtful about a calibration that is not refused: its noise, and parts far from the description."""
+    """Yield what is doubtful about a calibration that is not refused: noise, ties, parts far from the description."""
     found, eta = calibration.identification, calibration.options.eta
     noise = _noise_in_words(calibration)
     noisy = found.noise_factor >= _NOISY
@@ -73,6 +74,13 @@ def doubts(calibration: Fit, measurements: Measurements) -> Iterator[str]:
     if compensation.values is None:
         return
     errors = compensation.errors
+    if noticed := noticed_differences(calibration):
+        units = dict(zip(errors.names, errors.units, strict=True))
+        words = ", ".join(f"{name} by {1e6 * most:.2g} µ{units[name]}" for name, most in noticed.items())
+        yield (
+            f"bounds are too small if tied parts differ by more than a little, as a standard deviation {words}: list "
+            "such parts under `classes` too"
+        )
     parts = [
         f"{name} ({1e3 * value:.3g} m{parameter.unit}, {abs(value) / parameter.tolerance:.0f} tolerances)"
         for name, value, parameter in zip(errors.names, compensation.values, errors.parameters, strict=True)

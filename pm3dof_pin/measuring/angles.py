@@ -1,4 +1,4 @@
-"""Columns of Euler angles or rotation vectors, and their order."""
+"""Columns of Euler angles, rotation vectors or quaternions, and their order."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Literal, get_args
 import numpy as np
 import scipy
 
-from pm3dof_pin.csv_table import CsvTable
+from pm3dof_pin.csv_table import CsvTable, usual_orders
+from pm3dof_pin.errors.pose_error import rotation_of_quaternion
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.kinematics.pose_file import PLACEMENT
 from pm3dof_pin.typing import Array
@@ -45,6 +46,14 @@ def angle_columns(table: CsvTable) -> tuple[str, ...]:
     names = {*table.columns}
     found = (columns for columns in (_ABOUT_AXES, _NUMBERED) if {*columns} & names)
     return () if {*_QUATERNION} & names else next(found, ())
+
+
+def other_orders(quaternions: Array) -> dict[str, Array]:
+    """Return rotation matrices, shape=(n, 3, 3), by the order that columns w, x, y, z may really have, shape=(n, 4)."""
+    return {
+        ", ".join("wxyz"[k] for k in order): rotation_of_quaternion(quaternions[:, np.argsort(order)])
+        for order in usual_orders(4)
+    }
 
 
 def orders_of(names: tuple[str, ...]) -> list[AngleOrder]:

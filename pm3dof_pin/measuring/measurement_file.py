@@ -18,7 +18,13 @@ from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.pose_file import PLACEMENT, UNIT_QUATERNION
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.angles import angle_columns, orders_of, quaternions_of_angles, replace_angles
+from pm3dof_pin.measuring.angles import (
+    angle_columns,
+    orders_of,
+    other_orders,
+    quaternions_of_angles,
+    replace_angles,
+)
 from pm3dof_pin.measuring.datum import Datum, DatumKind
 from pm3dof_pin.measuring.export_file import ColumnMap
 from pm3dof_pin.measuring.instrument import ENCODER_ZERO, Instrument
@@ -515,12 +521,15 @@ class _Reader:
                 problem = f"orientations are more than {_TURNED:g} rad from where the machine can be"
                 self._table.warn(problem, self._table.lines_where(far))
             return
-        scalar_last = rotation_of_quaternion(np.roll(self._table.matrix(_QUATERNION), 1, axis=1))
         inverse = "are inverse rotations, of the base in the tool's axes: expected those of the tool in the base"
-        others = {"are in the order x, y, z, w": scalar_last, inverse: np.swapaxes(rotations, 1, 2)}
-        for problem, seen in others.items():
-            if refuse and np.median(angles(seen)) < min(_TURNED, 0.1 * middle):
-                self._refuse(f"{','.join(_QUATERNION)} {problem}")
+        orders = other_orders(self._table.matrix(_QUATERNION))
+        others = {f"are in the order {order}": seen for order, seen in orders.items()}
+        others |= {inverse: np.swapaxes(rotations, 1, 2)}
+        # where two are the same, the more usual one
+        off = {problem: round(float(np.median(angles(seen))), 3) for problem, seen in others.items()}
+        nearest = min(off, key=lambda problem: off[problem])
+        if refuse and off[nearest] < min(_TURNED, 0.1 * middle):
+            self._refuse(f"{','.join(_QUATERNION)} {nearest}")
         self._table.warn(
             f"orientations are {middle:.3g} rad (median) from where the description has the machine: other axes of the "
             f"base or of the tool? {_OWN_FRAME}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ from pm3dof_pin.measuring.wrenches import is_wrench, wrenches_of
 from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.paths.gcode import MACHINE, Move, Systems, in_machine, read_program
 from pm3dof_pin.typing import Array, Indices, Mask, Matrix, Vector
+
+logger = logging.getLogger(__name__)
 
 TIME, FEED, FEED_PER_MINUTE = "time_s", "feed_m_s", "feed_mm_min"
 """Columns of a table: the time at each row, or the feed of the move that ends there."""
@@ -236,6 +239,8 @@ def _from_table(robot: Robot, file: Path, table: PoseTable) -> ToolPath:
     feed = others.get(FEED, others.get(FEED_PER_MINUTE, np.full(len(values), np.nan)) / 6e4)
     if times is None and (wrong := feed[1:] <= 0.0).any():
         raise MeasurementError(file, "a feed is not positive", np.array(table.lines)[1:][wrong].tolist())
+    if unused := [name for name in others if name not in (TIME, FEED, FEED_PER_MINUTE) and not is_wrench(name)]:
+        logger.warning("%s: columns %s are not used", file, ", ".join(unused))
     wrenches = None
     if any(map(is_wrench, others)):
         wrenches = wrenches_of(others, robot, len(values))

@@ -345,6 +345,9 @@ WRONG: dict[str, Wrong] = {
     "quaternions z, y, x, w": Wrong(
         lambda g: {**g.table, **dict(zip(QUATERNION, [g.table[n] for n in QUATERNION[::-1]], strict=True))}, "order"
     ),
+    "quaternions w, z, y, x": Wrong(
+        lambda g: {**g.table, "qx": g.table["qz"], "qz": g.table["qx"]}, "order|tool's axes"
+    ),
     "quaternions conjugate": Wrong(lambda g: _seen(g.table, turns=_turns(g.table).inv()), "inverse"),
     "quaternions negated": Wrong(_scaled(QUATERNION, -1.0)),
     "one sign of the quaternions": Wrong(_scaled(("qx",), -1.0), "."),

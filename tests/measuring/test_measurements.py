@@ -203,6 +203,9 @@ def test_another_frame_is_suspected(lines: list[list[str]], tripod_errors: Geome
     ("order", "signs", "problem"),
     [
         ((1, 2, 3, 0), (1, 1, 1, 1), "qw,qx,qy,qz are in the order x, y, z, w"),
+        ((1, 0, 2, 3), (1, 1, 1, 1), "qw,qx,qy,qz are in the order x, w, y, z"),
+        ((0, 2, 1, 3), (1, 1, 1, 1), "qw,qx,qy,qz are in the order w, y, x, z"),
+        ((0, 3, 2, 1), (1, 1, 1, 1), "qw,qx,qy,qz are in the order w, z, y, x"),
         ((0, 1, 2, 3), (1, -1, -1, -1), "are inverse rotations"),
     ],
 )
@@ -306,6 +309,7 @@ def test_euler_angles_of_unknown_order_are_refused(
         (HEADER.replace(",qz", "") + "\n", "line 1: no column qz"),
         (HEADER + ",sigma_x_m\n", "line 1: no column sigma_y_m"),
         (HEADER + "\n0.24,0.24,0.24,1e300,0,0.49,1,0,0,0\n", "line 2: x_m is '1e300', expected a number of at most 1e"),
+        (HEADER + "\n0.24,0.24,0.24,1e400,0,0.49,1,0,0,0\n", "line 2: x_m is '1e400', expected a number of at most 1e"),
         (HEADER + "\n0.24,0.24,0.24,0.2 m,0,0.49,1,0,0,0\n", "line 2: x_m is '0.2 m', expected a number"),
         (HEADER + "\n0.24,0.24,0.24,1_0,0,0.49,1,0,0,0\n", "line 2: x_m is '1_0', expected a number"),
         (HEADER + "\n0.24,0.24,0.24,0,0,0.49,1.5,0,0,0\n", "line 2: .* not a rotation: its length is 1.5"),

@@ -294,6 +294,13 @@ def test_table_of_poses_with_feed_force_and_unreachable_rows(tmp_path: Path) -> 
         read_path(robot, file)
 
 
+def test_columns_of_a_table_that_are_not_used_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    robot, file = pm.load("pm3dof"), tmp_path / "path.csv"
+    file.write_text("theta_x_rad,theta_y_rad,z_e_m,time_z,load_fz_N,load_fz\n0.1,0,.48,0,1,1\n0,0,.48,1,1,1\n")
+    assert read_path(robot, file).times is None
+    assert caplog.messages == [f"{file}: columns time_z, load_fz are not used"]
+
+
 GANTRY = "".join(
     f'<body name="b{k}"><joint name="j{k}" type="{kind}" axis="{axis}"/><geom size=".1" mass="1"/>'
     for k, (kind, axis) in enumerate(itertools.product(("slide", "hinge"), ("1 0 0", "0 1 0", "0 0 1")))
