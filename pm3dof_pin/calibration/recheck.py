@@ -19,7 +19,7 @@ Mixed over hypotheses and sizes, the changes tell how far the tool is off if not
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -118,67 +118,108 @@ class Recheck:
 
 
 @dataclass(frozen=True, eq=False)
-class _Change:
-    """A hypothesis with a size: standard deviations of the zeros and of the parameters' changes."""
+class _Changes:
+    """Hypotheses that move the same parts, if any, by several sizes: standard deviations of zeros and parameters."""
 
     verdict: Verdict
-    sigmas: Array
-    weight: float  #: relative probability beforehand
+    zeros: Array  #: of the drives' zeros, shape=(n, drives) [m, rad]
+    parts: Array  #: tolerances of the parameters that move, 0 of others, shape=(parameters,) [m, rad]
+    sizes: Array  #: of the parameters' changes, in these tolerances, shape=(n,)
+    share: float  #: probability beforehand of all of them, relative to that of the verdict
+
+    @property
+    def log_weight(self) -> float:
+        """The logarithm of the relative probability beforehand of each."""
+        return float(np.log(_BEFOREHAND[self.verdict] * self.share / len(self.sizes)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """New rows about a calibrated machine whose zeros are somewhere, in units of their noise."""
+    """New rows about a calibrated machine whose zeros are somewhere, independent and in units of their noise."""
 
     #: residuals about the calibrated zeros, extended by the effects here, shape=(rows,); or of several such machines,
     #: shape=(rows, machines), of which evidence and contradiction are told one by one
     off: Array
-    variance: Array  #: of these if nothing changed, shape=(rows, rows)
     effects: Array  #: of the zeros, then of the parameters, shape=(rows, drives + parameters)
 
-    def evidence(self, change: _Change) -> Array:
-        """Return the logarithm of the evidence for a change."""
-        factor = self._factor(change)
-        exponent = -0.5 * np.sum(scipy.linalg.solve_triangular(factor, self.off, lower=True) ** 2, axis=0)
-        return np.asarray(np.log(change.weight) + exponent - np.log(np.diag(factor)).sum())
+    def judged(self, hypotheses: Sequence[_Changes]) -> Iterator[tuple[_Judged, int]]:
+        """Give each hypothesis: those that move the same parts, as judged by the rows, and its number among these."""
+        for changes in hypotheses:
+            judged = _Judged(self, changes)
+            yield from ((judged, number) for number in range(len(changes.sizes)))
 
-    def mean(self, change: _Change) -> Array:
-        """Return the mean of a change's amounts, shape=(k,) [m, rad]."""
-        solved = scipy.linalg.cho_solve((self._factor(change), True), self.off)
-        return np.asarray(change.sigmas**2 * (self.effects.T @ solved))
-
-    def moments(self, change: _Change) -> tuple[Array, Array]:
-        """Return the mean and the mean square of a change's amounts, shape=(k,) and (k, k) [m, rad]."""
-        factor, mean = (self._factor(change), True), self.mean(change)
-        gain = self.effects.T * change.sigmas[:, None] ** 2
-        spread = np.diag(change.sigmas**2) - gain @ scipy.linalg.cho_solve(factor, gain.T)
-        return mean, spread + np.outer(mean, mean)
+    def evidence(self, hypotheses: Sequence[_Changes]) -> Array:
+        """Return the logarithm of the evidence for each hypothesis, shape=(hypotheses, ...)."""
+        return np.stack([judged.evidence(number) for judged, number in self.judged(hypotheses)])
 
     def zeros(self, count: int) -> tuple[Array, Array]:
-        """Return generalised least-squares estimates of so many zeros, and their standard deviations [m, rad]."""
+        """Return least-squares estimates of so many zeros, and their standard deviations [m, rad]."""
         effects = self.effects[:, :count]
-        weighted = np.linalg.solve(self.variance, effects)
-        covariance = np.linalg.pinv(effects.T @ weighted, hermitian=True)
-        return np.asarray(covariance @ (weighted.T @ self.off)), np.sqrt(np.diag(covariance))
+        covariance = np.linalg.pinv(effects.T @ effects, hermitian=True)
+        return np.asarray(covariance @ (effects.T @ self.off)), np.sqrt(np.diag(covariance))
 
     def contradiction(self, free: int) -> Array:
         """Return the probability of residuals at least this large if nothing but so many zeros changed."""
         effects = self.effects[:, :free]
         left = self.off - effects @ self.zeros(free)[0]
         freedom = len(left) - int(np.linalg.matrix_rank(effects))
-        squares = np.sum(left * np.linalg.solve(self.variance, left), axis=0)
+        squares = np.sum(left * left, axis=0)
         return np.asarray(scipy.special.chdtrc(freedom, squares)) if freedom else np.ones_like(squares)
 
-    def _factor(self, change: _Change) -> Array:
-        """Return the lower Cholesky factor of the covariance of the residuals with a change."""
-        moving = np.flatnonzero(change.sigmas)
-        effects = self.effects[:, moving] * change.sigmas[moving]
-        return np.asarray(np.linalg.cholesky(self.variance + effects @ effects.T), dtype=float)
+
+class _Judged:
+    """Hypotheses that move the same parts, judged by rows, in an orthonormal basis of what they move."""
+
+    def __init__(self, rows: _Rows, changes: _Changes) -> None:
+        self.changes = changes
+        self._count = rows.effects.shape[1]
+        self._zeros, self._parts = np.flatnonzero(changes.zeros.any(axis=0)), np.flatnonzero(changes.parts)
+        moving = np.append(self._zeros, changes.zeros.shape[1] + self._parts)
+        basis, effects = np.linalg.qr(rows.effects[:, moving])
+        self._off = basis.T @ rows.off
+        self._squares_beyond = np.sum(rows.off**2, axis=0) - np.sum(self._off**2, axis=0)
+        self._moving, self._effects = moving, effects
+        by_parts = effects[:, len(self._zeros) :] * changes.parts[self._parts]
+        self._covariance_by_parts = by_parts @ by_parts.T
+
+    def evidence(self, number: int) -> Array:
+        """Return the logarithm of the evidence for one of the changes, shape=(...)."""
+        factor = self._factor(number)
+        squares = np.sum(scipy.linalg.solve_triangular(factor, self._off, lower=True) ** 2, axis=0)
+        logarithm = self.changes.log_weight - np.log(np.diag(factor)).sum()
+        return np.asarray(logarithm - 0.5 * (self._squares_beyond + squares))
+
+    def mean(self, number: int) -> Array:
+        """Return the mean of the amounts of one of the changes, shape=(drives + parameters,) [m, rad]."""
+        solved = scipy.linalg.cho_solve((self._factor(number), True), self._off)
+        mean = np.zeros(self._count)
+        mean[self._moving] = self._sigmas(number) ** 2 * (self._effects.T @ solved)
+        return mean
+
+    def moments(self, number: int) -> tuple[Array, Array]:
+        """Return the mean and the mean square of the amounts of one of the changes, shape=(k,) and (k, k) [m, rad]."""
+        mean, variances = self.mean(number), self._sigmas(number) ** 2
+        gain = self._effects.T * variances[:, None]
+        explained = gain @ scipy.linalg.cho_solve((self._factor(number), True), gain.T)
+        square = np.outer(mean, mean)
+        square[np.ix_(self._moving, self._moving)] += np.diag(variances) - explained
+        return mean, square
+
+    def _sigmas(self, number: int) -> Array:
+        """Return the standard deviations of what moves, shape=(moving,) [m, rad]."""
+        by_parts = self.changes.sizes[number] * self.changes.parts[self._parts]
+        return np.append(self.changes.zeros[number, self._zeros], by_parts)
+
+    def _factor(self, number: int) -> Array:
+        """Return the lower Cholesky factor of the covariance of the residuals with one of the changes."""
+        by_zeros = self._effects[:, : len(self._zeros)] * self.changes.zeros[number, self._zeros]
+        by_parts = self.changes.sizes[number] ** 2 * self._covariance_by_parts
+        return np.asarray(np.linalg.cholesky(np.eye(len(by_zeros)) + by_zeros @ by_zeros.T + by_parts), dtype=float)
 
 
-def _by_verdict(weights: Array, hypotheses: Sequence[_Change]) -> Array:
+def _by_verdict(weights: Array, hypotheses: Sequence[_Changes]) -> Array:
     """Return the sums of the weights of hypotheses, shape=(k, ...), over each verdict, shape=(3, ...)."""
-    verdicts = np.array([change.verdict for change in hypotheses])
+    verdicts = np.array([changes.verdict for changes in hypotheses for _ in changes.sizes])
     return np.stack([weights[verdicts == verdict].sum(axis=0) for verdict in _VERDICTS])
 
 
@@ -206,7 +247,7 @@ def _left_by_zeros(tip_square: Array, tolerances: Array) -> Array:
 
 
 def _detectable_parts(
-    rows: _Rows, hypotheses: Sequence[_Change], left: Array, tolerances: Array, generator: np.random.Generator
+    rows: _Rows, hypotheses: Sequence[_Changes], left: Array, tolerances: Array, generator: np.random.Generator
 ) -> float:
     """Return the tip error beyond new zeros from which on one moved part is called so with 95 % probability [m].
 
@@ -220,10 +261,8 @@ def _detectable_parts(
     drawn = generator.choice(parts, (len(_PART_SIZES), _DRAWN))
     amounts = usual * _PART_SIZES[:, None] / left[drawn]
     moved = (rows.effects[:, drives + drawn] * amounts).reshape(len(rows.off), -1)
-    noise = np.linalg.cholesky(rows.variance) @ generator.standard_normal(moved.shape)
-    drawn_rows = replace(rows, off=moved + noise)
-    evidence = np.stack([drawn_rows.evidence(change) for change in hypotheses])
-    probabilities = _by_verdict(scipy.special.softmax(evidence, axis=0), hypotheses)
+    drawn_rows = replace(rows, off=moved + generator.standard_normal(moved.shape))
+    probabilities = _by_verdict(scipy.special.softmax(drawn_rows.evidence(hypotheses), axis=0), hypotheses)
     verdicts = _verdict(probabilities, drawn_rows.contradiction(0), drawn_rows.contradiction(drives))
     called = (verdicts == _VERDICTS.index("recalibrate")).reshape(drawn.shape)
     shown = np.maximum.accumulate(called.mean(axis=1))
@@ -275,26 +314,26 @@ def recheck(calibration: Compensation | Path | str, measurements: Measurements, 
     tip_square = np.einsum("nij,nik->jk", tip, tip) / len(tip)
     left = _left_by_zeros(tip_square, known.errors.tolerances)
     hypotheses = _hypotheses([command.unit for command in robot.commands], known.errors, left > 0.0)
-    re_zero = [change for change in hypotheses if change.verdict == "re-zero"]
+    re_zero = [changes for changes in hypotheses if changes.verdict == "re-zero"]
     rows = first = _rows(known, measurements, conditions, np.zeros(count))
     zeros = np.zeros(count)
     for _ in range(_ROUNDS):
-        shares = scipy.special.softmax([rows.evidence(change) for change in re_zero])
-        best = np.sum([share * rows.mean(change) for share, change in zip(shares, re_zero, strict=True)], axis=0)
+        shares = scipy.special.softmax(rows.evidence(re_zero))
+        best = shares @ np.array([judged.mean(number) for judged, number in rows.judged(re_zero)])
         if np.abs(rows.effects[:, :count] @ (best[:count] - zeros)).max(initial=0.0) < _SETTLED:
             break
         try:
             rows, zeros = _rows(known, measurements, conditions, best[:count]), best[:count]
         except PM3DofError:  # no machine with such zeros: parts moved
             break
-    weights = scipy.special.softmax([rows.evidence(change) for change in hypotheses])
+    weights = scipy.special.softmax(rows.evidence(hypotheses))
     probabilities = np.minimum(1.0, _by_verdict(weights, hypotheses))
     mean, moments = np.zeros(len(best)), np.zeros((len(best), len(best)))
-    counted = np.flatnonzero(weights > _NEGLIGIBLE)
-    for number in counted:
-        own, square = rows.moments(hypotheses[number])
-        share = weights[number] / weights[counted].sum()  # of many, those that do not count are not nothing together
-        mean, moments = mean + share * own, moments + share * square
+    counted = weights[weights > _NEGLIGIBLE].sum()  # of many, those that do not count are not nothing together
+    for weight, (judged, number) in zip(weights, rows.judged(hypotheses), strict=True):
+        if weight > _NEGLIGIBLE:
+            own, square = judged.moments(number)
+            mean, moments = mean + weight / counted * own, moments + weight / counted * square
     zeroed = moments - np.outer(best, mean) - np.outer(mean, best) + np.outer(best, best)
     kept, set_ = (float(np.sqrt(max(0.0, np.sum(tip_square * each)))) for each in (moments, zeroed))
     against = first.contradiction(0), rows.contradiction(count)
@@ -330,7 +369,9 @@ def _rows(known: Compensation, measurements: Measurements, conditions: Condition
     scatter = with_joints(_scatter(known, machine, measurements), len(joints))
     usual = rows(np.concatenate([calibrated, scatter, beside], axis=2))
     effects = rows(np.concatenate([drives, changes], axis=2))
-    return _Rows(off + effects[:, : len(zeros)] @ zeros, np.eye(len(off)) + usual @ usual.T, effects)
+    off = off + effects[:, : len(zeros)] @ zeros
+    factor = np.linalg.cholesky(np.eye(len(off)) + usual @ usual.T)
+    return _Rows(*(scipy.linalg.solve_triangular(factor, each, lower=True) for each in (off, effects)))
 
 
 def add_to_history(directory: Path | str, entry: dict[str, Any]) -> Path:
@@ -380,26 +421,25 @@ def _scatter(known: Compensation, machine: Poses, measurements: Measurements) ->
     return motions
 
 
-def _hypotheses(units: Sequence[str], errors: GeometricErrors, is_part: Mask) -> list[_Change]:
+def _hypotheses(units: Sequence[str], errors: GeometricErrors, is_part: Mask) -> list[_Changes]:
     """Return the changes that are weighed: one zero or place far more than the others is as likely as all alike.
 
     Parameters that are no parts but zeros of drives, by the mask, do not count as moved alone.
     """
-    sizes = np.column_stack([_ZEROS[unit] for unit in units])
-    beside = np.vstack([np.zeros(len(units)), sizes[::_FEWER]])
+    alike = np.column_stack([_ZEROS[unit] for unit in units])
+    unmoved, kept = np.zeros((1, len(units))), np.zeros(len(errors))
+    beside = np.vstack([unmoved, alike[::_FEWER]])
     places = np.array([parameter.place for parameter in errors.parameters])
     of_one = [errors.tolerances * (is_part & (places == place)) for place in dict.fromkeys(places[is_part])]
-    kept = np.zeros(len(errors))
-    one_zero = [np.where(one, size, other) for size in sizes for other in beside for one in np.eye(len(units)) > 0.0]
-    kinds: list[tuple[Verdict, float, list[Array]]] = [
-        ("unchanged", 1.0, [np.append(beside[0], kept)]),
-        ("re-zero", 0.5, [np.append(size, kept) for size in sizes]),
-        ("re-zero", 0.5, [np.append(size, kept) for size in one_zero]),
-        ("recalibrate", 0.5, [np.append(size, s * errors.tolerances) for size in sizes for s in _CHANGES]),
-        ("recalibrate", 0.5, [np.append(size, s * one) for size in beside for s in _CHANGES for one in of_one]),
-    ]
+    one_zero = [np.where(one, size, other) for size in alike for other in beside for one in np.eye(len(units)) > 0.0]
+
+    def moving(zeros: Array, parts: Array, share: float) -> _Changes:
+        return _Changes("recalibrate", np.repeat(zeros, len(_CHANGES), 0), parts, np.tile(_CHANGES, len(zeros)), share)
+
     return [
-        _Change(verdict, sigmas, _BEFOREHAND[verdict] * share / len(changes))
-        for verdict, share, changes in kinds
-        for sigmas in changes
+        _Changes("unchanged", unmoved, kept, np.zeros(1), 1.0),
+        _Changes("re-zero", alike, kept, np.zeros(len(alike)), 0.5),
+        _Changes("re-zero", np.array(one_zero), kept, np.zeros(len(one_zero)), 0.5),
+        moving(alike, errors.tolerances, 0.5),
+        *(moving(beside, one, 0.5 / len(of_one)) for one in of_one),
     ]

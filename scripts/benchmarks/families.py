@@ -1,6 +1,6 @@
 """Families of large robots, written as a stranger would: a URDF of the tree and a closures file beside it.
 
-    python scripts/benchmarks/families.py FAMILY SIZE FOLDER
+    python scripts/benchmarks/families.py FAMILY SIZE FOLDER [tilted]
 
 Placements are computed here from drawings, so that zero is an assembled configuration.
 """
@@ -22,6 +22,8 @@ _STIFFNESS: Mapping[str, Mapping[str, float | str]] = {
     "revolute": {"stiffness": 1e4, "unit": "N m/rad"},
     "prismatic": {"stiffness": 1e7, "unit": "N/m"},
 }
+_STANDING = """<link name="ground"/><joint name="standing" type="fixed"><origin xyz="0 0 0" rpy="0.3 0.2 1.1"/>\
+<parent link="ground"/><child link="base"/></joint>"""
 
 
 class Drawing:
@@ -67,11 +69,12 @@ class Drawing:
         pair = (self.joint(a, f"end{number}a", at_a), self.joint(b, f"end{number}b", at_b))
         self.closures.append(pair)
 
-    def write(self, folder: Path) -> Path:
-        """Write the description into a folder; return the URDF's path."""
+    def write(self, folder: Path, *, tilted: bool = False) -> Path:
+        """Write the description into a folder, level or on a base yawed and tilted; return the URDF's path."""
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"{self.name}.urdf"
-        path.write_text(f'<robot name="{self.name}">\n' + "\n".join(self._elements) + "\n</robot>\n", encoding="utf-8")
+        elements = "\n".join([_STANDING] * tilted + self._elements)
+        path.write_text(f'<robot name="{self.name}">\n{elements}\n</robot>\n', encoding="utf-8")
         springs = [{"name": d, "type": "joint", "joint": d, **_STIFFNESS[self.kinds[d]]} for d in self.drives]
         closures = {
             "closed_loop": [list(pair) for pair in self.closures],
@@ -254,5 +257,5 @@ FAMILIES: Mapping[str, tuple[Callable[[int], Drawing], Sequence[int]]] = {
 
 
 if __name__ == "__main__":
-    name, size, output = sys.argv[1:]
-    print(FAMILIES[name][0](int(size)).write(Path(output)))
+    name, size, output, *mounting = sys.argv[1:]
+    print(FAMILIES[name][0](int(size)).write(Path(output), tilted=mounting == ["tilted"]))

@@ -1,11 +1,12 @@
 """Every command on families of large robots: time, memory, and what is refused.
 
-    python scripts/benchmarks/scaling.py [FAMILY [SIZE ...]] ... [--commands NAME ...] [--out FILE.csv] [--docs PAGE.md]
+    python scripts/benchmarks/scaling.py [FAMILY [SIZE ...]] ... [--tilted] [--commands NAME ...] [--out FILE.csv]
+                                         [--docs PAGE.md]
 
 Each command runs in a process of its own, the first with an empty cache of programs. A command fails if it takes more
 than 60 s of processor time or 4 GB, is ended by a signal, or prints a traceback. The exponent says how the time of one
 command grows with the size, over the larger half of the sizes. Runs are added to those in the file; with `--docs` the
-table of all of them is written into a page, between its marks.
+table of all that stand level is written into a page, between its marks.
 """
 
 from __future__ import annotations
@@ -19,12 +20,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from families import FAMILIES
+
+import pm3dof_pin as pm
+from pm3dof_pin.kinematics.pose_file import columns_text, readings
 
 SECONDS, BYTES = 60.0, 4e9
 START, END = "<!-- scaling -->", "<!-- end of scaling -->"
@@ -35,18 +41,29 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "ik": ("ik", "--configuration", "home"),
     "fk": ("fk", "--configuration", "home"),
     "stiffness": ("stiffness", "--configuration", "home"),
+    "fk-all": ("fk", "--all", "--configuration", "home"),
     "statics": ("statics", "--configuration", "home"),
+    "equilibrium": ("equilibrium", "--configuration", "home"),
     "modes": ("modes", "--configuration", "home"),
+    "receptance": ("receptance", "--configuration", "home"),
     "capability": ("capability", "--configuration", "home"),
+    "transmission": ("transmission", "--configuration", "home"),
+    "path": ("path", "near.csv", "--out", "path.csv"),
     "stiffness-map": ("stiffness-map", "--points", "31", "--no-pictures", "--out", "map"),
     "workspace": ("workspace", "--no-picture", "--out", "space"),
     "atlas": ("atlas", "--counts", "3", "--out", "atlas.nc", "--no-pictures"),
     "evaluate": ("evaluate",),
     "error-map": ("error-map", "--out", "errors"),
+    "error-parameters": ("error-parameters", "--out", "parameters.yaml"),
     "calibration-plan": ("calibration-plan", "--poses", "40", "--out", "plan.csv"),
     "measure": ("measure", "--poses", "100", "--out", "measured.csv"),
     "calibrate": ("calibrate", "measured.csv", "--method", "lm", "--out", "calibrated"),
+    "recheck": ("recheck", "measured.csv", "--calibration", "calibrated", "--no-record"),
+    "compensate": ("compensate", "--configuration", "home", "--calibration", "calibrated"),
+    "acceptance": ("acceptance", "plan", "positioning", "--out", "targets.csv"),
     "export": ("export", "mjcf", "--out", "exported"),
+    "export-c": ("export", "c", "--out", "controller"),
+    "export-function": ("export", "function", "--of", "all", "--out", "functions"),
     "view": ("view", "--html", "page.html"),
 }
 
@@ -78,14 +95,22 @@ class Run:
         return "ok" if self.status == 0 else "refused"
 
 
-def run(family: str, size: int, command: str, robot: Path, folder: Path) -> Run:
-    """Run one command on a robot in a folder."""
+def write_path(description: Path, file: Path) -> list[str]:
+    """Write 200 poses, from home a fifth of the way to a random pose; return `--line` and its ends."""
+    robot = pm.load(description)
+    there = pm.reachable_poses(robot, 1, np.random.default_rng(0)).coordinates
+    coordinates = robot.home_coordinates + np.linspace(0.0, 0.2, 200)[:, None] * (there - robot.home_coordinates)
+    file.write_text(columns_text(readings(robot.coordinates, coordinates)), encoding="utf-8")
+    ends = np.concatenate([robot.at([robot.home.q]).positions, robot.solve(coordinates[-1:]).positions])
+    return ["--line", *map(str, ends.ravel().tolist())]
+
+
+def run(family: str, size: int, command: str, arguments: Sequence[str], folder: Path) -> Run:
+    """Run one command in a folder."""
     environment = os.environ | {"PM3DOF_CACHE_DIR": str(folder / "cache"), "OMP_NUM_THREADS": "1"}
-    arguments = COMMANDS[command]
-    own = [str(robot)] if command == "info" else ["--robot", str(robot)]
     with tempfile.TemporaryFile("w+") as errors:
         process = subprocess.Popen(
-            [sys.executable, "-m", "pm3dof_pin", *arguments, *own],
+            [sys.executable, "-m", "pm3dof_pin", *arguments],
             cwd=folder,
             env=environment,
             stdout=subprocess.DEVNULL,
@@ -101,13 +126,20 @@ def run(family: str, size: int, command: str, robot: Path, folder: Path) -> Run:
     return Run(family, size, command, seconds, 1024.0 * usage.ru_maxrss, process.returncode, said.strip("│ "))
 
 
-def study(family: str, sizes: list[int], commands: list[str]) -> Iterator[Run]:
+def study(family: str, sizes: list[int], commands: list[str], *, tilted: bool) -> Iterator[Run]:
     """Run commands on robots of a family, one size after the other."""
     for size in sizes:
         with tempfile.TemporaryDirectory() as temporary:
-            robot = FAMILIES[family][0](size).write(Path(temporary) / "robot")
+            folder = Path(temporary)
+            robot = FAMILIES[family][0](size).write(folder / "robot", tilted=tilted)
+            # in a process of its own, whose memory does not count
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+                line = process.submit(write_path, robot, folder / "near.csv").result()
+            which = ["--robot", str(robot)]
+            own = {"info": [str(robot)], "recheck": [], "acceptance": [*which, *line]}
             for command in commands:
-                yield run(family, size, command, robot, Path(temporary))
+                arguments = [*COMMANDS[command], *own.get(command, which)]
+                yield run(f"{family} tilted" if tilted else family, size, command, arguments, folder)
 
 
 def exponent(runs: list[Run]) -> float:
@@ -159,6 +191,7 @@ def read(path: Path) -> list[Run]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("families", nargs="*", help="names, each with sizes after it if not all")
+    parser.add_argument("--tilted", action="store_true", help="on a base that is yawed and tilted")
     parser.add_argument("--commands", nargs="+", choices=COMMANDS, default=list(COMMANDS))
     parser.add_argument("--out", type=Path)
     parser.add_argument("--docs", type=Path, help="page with the marks <!-- scaling --> and <!-- end of scaling -->")
@@ -172,16 +205,16 @@ def main() -> None:
             chosen[word] = []
     runs: list[Run] = []
     for family, sizes in chosen.items():
-        for one in study(family, sizes or list(FAMILIES[family][1]), arguments.commands):
+        for one in study(family, sizes or list(FAMILIES[family][1]), arguments.commands, tilted=arguments.tilted):
             runs.append(one)
-            text = f"{one.family:>10} {one.size:3d} {one.command:<17} {one.seconds:7.1f} s {one.bytes / 1e9:5.2f} GB"
+            text = f"{one.family:>16} {one.size:3d} {one.command:<17} {one.seconds:7.1f} s {one.bytes / 1e9:5.2f} GB"
             print(f"{text}  {one.verdict:<9} {one.said[:110]}", flush=True)
-    print("\nfamily      command            exponent  worst")
-    for family in chosen:
+    print("\nfamily           command            exponent  worst")
+    for family in dict.fromkeys(r.family for r in runs):
         for command in arguments.commands:
             own = [r for r in runs if (r.family, r.command) == (family, command)]
             bad = [f"{r.size}: {r.verdict}" for r in own if r.verdict not in ("ok", "refused")]
-            print(f"{family:<11} {command:<17} {exponent(own):9.1f}  {', '.join(bad) or '-'}")
+            print(f"{family:<16} {command:<17} {exponent(own):9.1f}  {', '.join(bad) or '-'}")
     new = {(r.family, r.size, r.command) for r in runs}
     every = [r for r in earlier if (r.family, r.size, r.command) not in new] + runs
     if arguments.out:

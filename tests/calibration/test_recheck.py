@@ -12,10 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
 
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.recheck import Verdict, add_to_history, read_history, recheck
+from pm3dof_pin.calibration.recheck import (
+    Verdict,
+    _hypotheses,
+    _Rows,
+    add_to_history,
+    read_history,
+    recheck,
+)
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.measuring.measurement_file import write_measurements
 
@@ -41,6 +49,35 @@ def test_an_unchanged_machine_is_called_so(case: Case) -> None:
     assert found.contradiction > 0.01
     assert found.off_if_kept < 5e-6
     assert sum(found.probabilities.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("count", [3, 40], ids=["fewer rows than parts", "more rows"])
+def test_evidence_and_moments_are_those_of_normal_distributions(count: int) -> None:
+    """By densities of all rows at once, and by the inverse of priors and rows together."""
+    errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(0)
+    drives = len(errors.robot.commands)
+    effects = generator.normal(size=(count, drives + len(errors))) / np.append(np.full(drives, 1e-4), errors.tolerances)
+    rows = _Rows(generator.normal(size=count), effects)
+    is_part = np.arange(len(errors)) % 5 > 0
+    hypotheses = _hypotheses(["m"] * drives, errors, is_part)
+    densities, judged = [], list(rows.judged(hypotheses))
+    for changes, number in ((judged.changes, number) for judged, number in judged):
+        sigmas = np.append(changes.zeros[number], changes.sizes[number] * changes.parts)
+        covariance = np.eye(count) + (effects * sigmas**2) @ effects.T
+        density = multivariate_normal(np.zeros(count), covariance, allow_singular=True)
+        densities.append(changes.log_weight + density.logpdf(rows.off))
+    constant = 0.5 * count * np.log(2.0 * np.pi)
+    np.testing.assert_allclose(rows.evidence(hypotheses), np.array(densities) + constant, rtol=1e-9, atol=1e-6)
+    for own, number in (judged[1], judged[40], judged[-1]):
+        sigmas = np.append(own.changes.zeros[number], own.changes.sizes[number] * own.changes.parts)
+        moving = np.flatnonzero(sigmas)
+        inverse = np.linalg.inv(np.diag(sigmas[moving] ** -2.0) + effects[:, moving].T @ effects[:, moving])
+        mean, square = np.zeros(len(sigmas)), np.zeros((len(sigmas), len(sigmas)))
+        mean[moving] = inverse @ effects[:, moving].T @ rows.off
+        square[np.ix_(moving, moving)] = inverse
+        square += np.outer(mean, mean)
+        np.testing.assert_allclose(own.moments(number)[0], mean, atol=1e-6 * np.abs(mean).max())
+        np.testing.assert_allclose(own.moments(number)[1], square, atol=1e-6 * np.abs(square).max())
 
 
 def test_a_risk_is_never_negative(case: Case) -> None:

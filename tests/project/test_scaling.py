@@ -7,7 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
 from pm3dof_pin.exceptions import UnreachablePoseError
@@ -36,6 +38,16 @@ def test_small_robots_of_each_family(family: str, tmp_path: Path, answer: Callab
     assert pm.instantaneous_mobility(robot.home).count == freedoms
     pose = answer("fk", "--robot", str(path), "--configuration", "home")
     assert len(pose["commands"]) == drives
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_tilted_robot_is_the_same_on_another_base(family: str, tmp_path: Path) -> None:
+    drawing = FAMILIES[family][0](SMALL[family][0])
+    level, tilted = (pm.load(drawing.write(tmp_path / str(k), tilted=k == 1)) for k in range(2))
+    place, turned = (robot.at([robot.home.q]).transforms[0] for robot in (level, tilted))
+    # roll, pitch and yaw about fixed axes
+    standing = Rotation.from_euler("xyz", [0.3, 0.2, 1.1]).as_matrix()
+    np.testing.assert_allclose(turned[:3], standing @ place[:3], atol=1e-12)
 
 
 def test_table_and_exponents() -> None:
