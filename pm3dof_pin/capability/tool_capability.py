@@ -21,7 +21,6 @@ from pm3dof_pin.capability.polytopes import MOST_FACETS, Polytopes, pairs_of_fac
 from pm3dof_pin.capability.transmission import Limit, drive_values
 from pm3dof_pin.dynamics.motion_dynamics import motion_dynamics
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, SingularConfigurationError
-from pm3dof_pin.kinematics.actuation import independent_drives
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.pose_values import BatchOptions
 from pm3dof_pin.kinematics.poses import Poses
@@ -272,7 +271,7 @@ def tool_capability(
     require_kind("robot", robot, Robot, "pm.load")
     if not robot.actuated_joints:
         raise SingularConfigurationError(f"{robot.name} has no drives")
-    names = [robot.actuated_joints[index] for index in independent_drives(robot.home)]
+    names = [robot.actuated_joints[index] for index in robot.placing_drives]
     tool = jacobian(robot, poses, of="tool", by=names, **options).values
     if len(names) < len(robot.actuated_joints):
         drives = jacobian(robot, poses, of=robot.actuated_joints, by=names, **options).values

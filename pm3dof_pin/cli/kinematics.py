@@ -137,6 +137,8 @@ def fk(
         result["tool"] = {f"{k}_{'m' if k in 'xyz' else 'rad'}": float(value) for k, value in components.items()}
         words = (value_in_words(k, "m" if k in "xyz" else "rad", value) for k, value in components.items())
         lines += ["", f"tool {machine.tool_frame}: {', '.join(words)}"]
+        if configuration is None and not machine.drives_place_it:
+            message("pm3dof: the drives leave joints free: this is one of many poses, a near one")
     print_result(result, lines, as_json=as_json)
     if not solved.solved:
         message("pm3dof: the machine's own assembly mode does not exist at these commands, or is not reached from home")

@@ -109,11 +109,13 @@ class Controller:
         ProgramError: there is no program for the robot, or it disagrees with Pinocchio.
         InvalidValueError: the robot has no drives, or its learned correction does not fit a table.
         ConvergenceError: the loops do not close at home.
+        SingularConfigurationError: several branches meet there, or the drives do not determine the pose.
     """
 
     def __init__(self, robot: Robot, *, calibrated: Robot | None = None, deviations: Deviations | None = None) -> None:
         if not robot.commands:
             raise InvalidValueError(robot.name, problem="has no actuated joints", expected="drives to control")
+        robot.require_regular_drives()
         self.robot = robot
         self.name = ros_package_name(robot.name).removesuffix("_description")
         variants = {"nominal": robot} | ({} if calibrated is None else {"calibrated": calibrated})

@@ -10,9 +10,10 @@ import pinocchio as pin
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 from pm3dof_pin.exceptions import SingularConfigurationError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, Restriction
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, RankDecision, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Matrix
+from pm3dof_pin.tolerances import RANK_GAP
+from pm3dof_pin.typing import Matrix, Vector
 
 _PIVOT_DIGITS = 9
 
@@ -44,6 +45,25 @@ def independent_drives(configuration: Configuration) -> list[int]:
     are not closed.
     """
     return _most_independent(DegreesOfFreedom(configuration).at_actuators.image)
+
+
+def motions_of_drives(configuration: Configuration) -> tuple[int, int]:
+    """Count the motions of drives and tool together, and how many of them the drives tell apart.
+
+    The drives' rates in scaled numbers, a row of length one for each drive, so that gears do not matter, tell as many
+    apart as they have singular values above the greatest over :data:`~pm3dof_pin.tolerances.RANK_GAP`.
+
+    Raises:
+        DescriptionError: the mechanism has no tool frame.
+        InvalidValueError: the loops are not closed.
+    """
+    dof = DegreesOfFreedom(configuration)
+    rates = dof.actuators @ dof.basis
+    sizes = np.linalg.norm(rates, axis=1, keepdims=True)
+    scaled = rates / np.where(sizes > RANK_TOLERANCE, sizes, 1.0)
+    values: Vector = np.asarray(np.linalg.svd(scaled, compute_uv=False), dtype=np.float64)
+    told = RankDecision.from_singular_values(values, float(values.max(initial=0.0)) / RANK_GAP)
+    return dof.idle.rank.rank, told.rank
 
 
 def independent_motions(configuration: Configuration, *, components: Sequence[ToolComponent] = ()) -> Matrix:

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Command, Coordinate, tool_coordinates
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
-from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, SingularConfigurationError, first_words
+from pm3dof_pin.kinematics.actuation import independent_drives, motion_components, motions_of_drives
 from pm3dof_pin.kinematics.assembly import Assembly, assemble
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision, scaled_closures
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
@@ -24,6 +24,7 @@ from pm3dof_pin.typing import Array, Vector
 
 _HOME = "home"
 _NEARBY, _NEARBY_STARTS = 0.01, 4  # of an open home [rad, characteristic lengths]
+_USUAL = 5  # poses near home at all of which drives are singular that are so everywhere
 _SAME = 0.2  # largest distance of configurations that are one [rad, characteristic lengths]
 
 
@@ -207,7 +208,7 @@ class PlacedMechanism(Mechanism):
             return first.placing_drives
         if self.has_loops:
             try:
-                if drives := independent_drives(generic_configuration(self.home)):
+                if drives := independent_drives(self._usual):
                     return drives
             except (ConvergenceError, InvalidValueError):
                 pass  # the loops do not close: the solvers report it
@@ -225,8 +226,59 @@ class PlacedMechanism(Mechanism):
         Raises:
             ConvergenceError: the loops do not close near home.
         """
-        mobility = instantaneous_mobility(generic_configuration(self.home))
-        return bool(mobility.actuator_rank.rank == mobility.count - mobility.idle_motions.shape[1])
+        motions, told, _ = self._motions_of_drives
+        return told == motions
+
+    def require_regular_drives(self, *, from_home: bool = True) -> None:
+        """Check that poses follow from the commands, unless there are too few drives. Solvers report open loops.
+
+        Args:
+            from_home: whether poses are reached from home.
+
+        Raises:
+            SingularConfigurationError: the drives are enough, but do not determine the pose anywhere around home, as of
+                a platform on legs whose ends are similar hexagons; or, if `from_home`, redundant ones do not at home,
+                so that commands next to it have several poses.
+        """
+        try:
+            motions, told, at_home = self._motions_of_drives
+        except (ConvergenceError, InvalidValueError):
+            return
+        drives = f"{self.name}: the drives {first_words(self.actuated_joints)} do not determine the pose"
+        if told < min(motions, len(self.commands)):
+            raise SingularConfigurationError(
+                f"{drives}, at home and all around it: with these at rest the tool can move. Place it by coordinates "
+                "of the tool (`coordinates` of the closures file; pm3dof ik), or by other drives (--drives)"
+            )
+        if from_home and at_home < told:
+            raise SingularConfigurationError(
+                f"{drives} at home, a singular pose of theirs, near which several poses have the same commands: "
+                "define a configuration 'home' beside it (pm3dof info --assemble), or give a guess"
+            )
+
+    @cached_property
+    def _motions_of_drives(self) -> tuple[int, int, int]:
+        """The motions at usual poses, how many of them the drives tell apart, and at home if drives are redundant.
+
+        See :func:`motions_of_drives`. Of as many drives as motions, branches tell whether home is singular.
+        """
+        first, count = self.prototype, len(self.commands)
+        if first is not self and self.tool_frame == first.tool_frame and self.is_variant_of(first):
+            return first._motions_of_drives
+        if not self.has_loops or self.tool_frame is None:
+            return count, count, count
+        motions = told = 0
+        for seed in range(_USUAL):  # some may be near a singular pose by chance
+            usual = self._usual if seed == 0 else generic_configuration(self.home, seed=seed)
+            motions, told = max((motions, told), motions_of_drives(usual), key=lambda found: found[1])
+            if told == min(motions, count):
+                break
+        return motions, told, motions_of_drives(self.home)[1] if told == motions < count else told
+
+    @cached_property
+    def _usual(self) -> Configuration:
+        """A configuration near home that is regular with probability one; errors as :func:`generic_configuration`."""
+        return generic_configuration(self.home)
 
     def has_null_motions(self, coordinates: Sequence[Coordinate]) -> bool:
         """Return whether the drives can move while coordinates of the tool stay, so that poses there are many.
@@ -240,15 +292,14 @@ class PlacedMechanism(Mechanism):
         if self.tool_frame is None:
             return ()
         try:
-            usual = generic_configuration(self.home)
-            mobility = instantaneous_mobility(usual)
+            mobility = instantaneous_mobility(self._usual)
             if mobility.tool_mobility == len(TOOL_COMPONENTS):
                 return tool_coordinates(TOOL_COMPONENTS)
             if not mobility.tool_mobility == mobility.actuator_rank.rank < len(self.commands):
                 return ()
             components = motion_components(self.home)
             at_home = len(components) == mobility.tool_mobility
-            return tool_coordinates(components if at_home else motion_components(usual))
+            return tool_coordinates(components if at_home else motion_components(self._usual))
         except (ConvergenceError, InvalidValueError):
             return ()
 

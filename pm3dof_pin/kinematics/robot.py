@@ -338,7 +338,11 @@ class Robot(PlacedMechanism):
 
         Commands are counter readings of the drives; a guess selects the assembly mode. If there are more drives than
         degrees of freedom, all are met by least squares in rad and characteristic lengths, as equally stiff drives hold
-        the tool; commands that differ from the pose's by more than 0.002 contradict each other.
+        the tool; commands that differ from the pose's by more than 0.002 contradict each other. If there are fewer,
+        joints are left free, and a pose near the start is one of many.
+
+        Raises also SingularConfigurationError if the drives do not determine the pose, see
+        :meth:`require_regular_drives`.
         """
         return self._solutions(
             self.command_coordinates, "commands", commands, guess, on_failure, engine, None, branches
@@ -426,6 +430,8 @@ class Robot(PlacedMechanism):
                 self._require_unit(coordinate, column)
         shape = targets.shape[:-1]
         starts = None if guess is None else self._starts(guess, shape)
+        if coordinates == self.command_coordinates:
+            self.require_regular_drives(from_home=starts is None or bool((starts == self.home.q).all(axis=1).any()))
         rows = targets.reshape(math.prod(shape), len(coordinates))
         placing = self.placing_drives if coordinates == self.command_coordinates else list(range(len(coordinates)))
         independent = tuple(coordinates[k] for k in placing)

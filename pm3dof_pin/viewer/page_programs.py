@@ -32,6 +32,7 @@ from pm3dof_pin.programs.loops import closure_residual, swing
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Vector
+from pm3dof_pin.viewer.lacks import reason_without_commands
 
 _logger = logging.getLogger(__name__)
 
@@ -49,6 +50,14 @@ class PageProgram:
         """Return the outputs at one configuration, as computed by the page."""
         outputs: Vector = self.program.evaluate(q[None], self.parameters)[0]
         return outputs
+
+
+def placing_sets(robot: Robot) -> dict[str, tuple[Coordinate, ...]]:
+    """Return what places a robot in a page: its coordinates, and its commands if these are others and can."""
+    sets = {"coordinates": robot.coordinates}
+    if robot.commands and robot.command_coordinates != robot.coordinates and not reason_without_commands(robot):
+        sets["commands"] = robot.command_coordinates
+    return sets
 
 
 class PagePrograms:
@@ -150,10 +159,7 @@ class PagePrograms:
     @cached_property
     def source(self) -> str:
         """All programs as JavaScript: an object `programs` of functions."""
-        robot = self.robot
-        walks = {"walk_coordinates": robot.coordinates}
-        if robot.command_coordinates and robot.command_coordinates != robot.coordinates:
-            walks["walk_commands"] = robot.command_coordinates
+        walks = {f"walk_{name}": coordinates for name, coordinates in placing_sets(self.robot).items()}
         entries = {"place": self.place, "holding": self.holding, "motion": self.motion}
         printed = {name: entry for name, entry in entries.items() if entry is not None}
         functions = [self._walk(name, coordinates) for name, coordinates in walks.items()]

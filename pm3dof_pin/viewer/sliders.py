@@ -25,7 +25,7 @@ from pm3dof_pin.viewer.bodies import DrawnBody
 from pm3dof_pin.viewer.ellipsoids import EllipsoidQuantity
 from pm3dof_pin.viewer.labels import display_label
 from pm3dof_pin.viewer.legs import about_body
-from pm3dof_pin.viewer.page_programs import PagePrograms
+from pm3dof_pin.viewer.page_programs import PagePrograms, placing_sets
 from pm3dof_pin.viewer.plane import MotionSpace
 from pm3dof_pin.viewer.polytopes import PolytopeQuantity
 from pm3dof_pin.viewer.scene import Json, column_major
@@ -231,16 +231,11 @@ def sets_of(robot: Robot) -> list[Json]:
 
     Each number has a `slider`: ends, range, step, digits and factor of the display, and the unit.
     """
+    at_home = {"coordinates": robot.home_coordinates, "commands": robot.home.commands}
     sets = [
-        {
-            "title": "Coordinates",
-            "program": "walk_coordinates",
-            **_numbers(robot, robot.coordinates, robot.home_coordinates),
-        }
+        {"title": name.capitalize(), "program": f"walk_{name}", **_numbers(robot, coordinates, at_home[name])}
+        for name, coordinates in placing_sets(robot).items()
     ]
-    if robot.command_coordinates and robot.command_coordinates != robot.coordinates:
-        numbers = _numbers(robot, robot.command_coordinates, robot.home.commands)
-        sets.append({"title": "Commands", "program": "walk_commands", **numbers})
     return [entry for entry in sets if entry["numbers"]]
 
 

@@ -31,7 +31,7 @@ from pm3dof_pin.programs.checks import checks_program
 from pm3dof_pin.programs.closing import Task, closing_program
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
-from families import Drawing, four_bars
+from families import four_bars
 
 MACHINES = Path(__file__).parents[1] / "machines"
 BASE, PLATFORM = 0.5, 0.2  # radii [m]
@@ -500,33 +500,3 @@ def test_branches_of_more_signs_than_a_number_has_bits(count):
     else:  # a walk from one branch does not end on another
         stays = robot.forward(np.full((40, count), 0.01), guess=q[3])
         np.testing.assert_array_equal(stays.branch, numbers[3])
-
-
-def similar_hexagons() -> Drawing:
-    """A platform on six legs whose ends are similar hexagons, so that no lengths determine its place."""
-    drawing = Drawing("similar")
-    for k in range(6):
-        at = (0.0, 0.0, 0.3) if k == 0 else (0.0, 0.0, 0.0)
-        kind = "prismatic" if k < 3 else "revolute"
-        drawing.tool = drawing.joint(drawing.tool or "base", f"p{k}", at, kind=kind, axis=np.eye(3)[k % 3])
-    for k, angle in enumerate(np.radians([-20.0, 20.0, 100.0, 140.0, 220.0, 260.0])):
-        direction = np.array([np.cos(angle), np.sin(angle), 0.0])
-        cross = drawing.joint("base", f"u{k}", 0.2 * direction, kind="revolute", axis=(1.0, 0.0, 0.0))
-        lower = drawing.joint(cross, f"v{k}", kind="revolute", axis=(0.0, 1.0, 0.0))
-        along = np.array([0.0, 0.0, 0.3]) - 0.08 * direction
-        rod = drawing.joint(lower, f"s{k}", kind="prismatic", axis=along / np.linalg.norm(along))
-        drawing.close(rod, along, drawing.tool, 0.12 * direction)
-        drawing.drives.append(f"s{k}_joint")
-    return drawing
-
-
-def test_drives_that_are_singular_everywhere_have_no_sign(tmp_path):
-    """Their determinant is rounding, whose sign bounds nothing (O. Ma and J. Angeles, ICRA 1991)."""
-    robot = Robot.load(similar_hexagons().write(tmp_path))
-    values = robot.home_coordinates + np.random.default_rng(0).uniform(-0.03, 0.03, (30, 6))
-    assert branches_of(robot).conditions == ("serial",)
-    poses = {engine: robot.solve(values, engine=engine) for engine in ("program", "pinocchio")}
-    for found in poses.values():
-        np.testing.assert_allclose(found.coordinates, values, atol=1e-9)
-    with pytest.raises(UnreachablePoseError, match="the drives leave joints free"):
-        robot.forward(poses["program"].commands[0])
