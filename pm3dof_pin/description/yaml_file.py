@@ -97,21 +97,26 @@ def _check_structure(path: Path, text: str) -> None:
     keys: list[set[str] | None] = []  # of the mappings and lists around an event, which have none
     at_value: list[bool] = []
     for event in yaml.parse(text, Loader=_LOADER):
-        place = f"line {event.start_mark.line + 1}" if event.start_mark else "file"
         if isinstance(event, yaml.NodeEvent) and keys and (known := keys[-1]) is not None:
             if not at_value[-1] and isinstance(event, yaml.ScalarEvent):
                 if event.value in known:
-                    raise DescriptionError(path, place, f"has '{event.value}' twice in one mapping, expected it once")
+                    problem = f"has '{event.value}' twice in one mapping, expected it once"
+                    raise DescriptionError(path, _place_of(event), problem)
                 known.add(event.value)
             at_value[-1] = not at_value[-1]
         if isinstance(event, yaml.CollectionStartEvent):
             keys.append(set() if isinstance(event, yaml.MappingStartEvent) else None)
             at_value.append(False)
             if len(keys) > _MAX_DEPTH:
-                raise DescriptionError(path, place, f"expected lists and mappings at most {_MAX_DEPTH} deep")
+                problem = f"expected lists and mappings at most {_MAX_DEPTH} deep"
+                raise DescriptionError(path, _place_of(event), problem)
         elif isinstance(event, yaml.CollectionEndEvent):
             keys.pop()
             at_value.pop()
+
+
+def _place_of(event: yaml.Event) -> str:
+    return f"line {event.start_mark.line + 1}" if event.start_mark else "file"
 
 
 def _size(data: Any, known: dict[int, float]) -> float:

@@ -165,9 +165,10 @@ def robot_space(
     def followed(values: Array, near: Array) -> tuple[Flags, Array]:
         flags, q, from_home = of_ranges(values), np.empty_like(near), np.isnan(near[:, 0])
         for rows, guess in ((from_home, None), (~from_home, near[~from_home])):
-            poses = robot.solve(complete(values[rows]), guess=guess, on_failure="nan")
-            flags[rows] |= poses.broken_limits
-            q[rows] = poses.q
+            if rows.any():
+                poses = robot.solve(complete(values[rows]), guess=guess, on_failure="nan")
+                flags[rows] |= poses.broken_limits
+                q[rows] = poses.q
         return flags, q
 
     at_home = {c.name: value for c, value in zip(robot.coordinates, robot.home_coordinates, strict=True)}
