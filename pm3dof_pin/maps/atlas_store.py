@@ -100,9 +100,11 @@ class AtlasStore:
         """
         self._require_place()
         recorded = self._recorded_blocks()
-        if recorded and not self._is_ours(recorded):
+        owners = {self._owner(block) for block in recorded} - {None}
+        if owners and self._specification not in owners:
             raise OutputError(self.path, f"{self.parts} is an unfinished atlas with other settings; remove it first")
-        if not recorded:
+        if not owners:  # no record, or one that a killed run had not written whole
+            recorded = []
             self.remove()
             self._require_room()
         self.parts.mkdir(exist_ok=True)
@@ -129,9 +131,10 @@ class AtlasStore:
     def _record_file(self, block: Block) -> Path:
         return self.parts / _RECORDS / ".".join(map(str, block))
 
-    def _is_ours(self, recorded: list[Block]) -> bool:
-        """Tell whether one of the blocks is of this atlas; records of the others may be damaged."""
-        return self._specification.encode() in [self._record_file(block).read_bytes()[:64] for block in recorded]
+    def _owner(self, block: Block) -> str | None:
+        """Return the specification of the atlas that a block is of, if its record is whole."""
+        text, _, checksum = self._record_file(block).read_bytes().rpartition(b" ")
+        return text[:64].decode(errors="replace") if checksum == b"%d" % zlib.crc32(text) else None
 
     def _is_sound(self, block: Block) -> bool:
         """Tell whether the chunks of a block are those of its record."""

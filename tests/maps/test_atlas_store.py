@@ -143,6 +143,21 @@ def test_damage_is_noticed_and_repaired_to_the_byte(
         assert {entry.name for entry in path.parent.iterdir()} == {path.name}, name
 
 
+@pytest.mark.parametrize("length", [0, 1, 63, 64, 80, -1])
+def test_an_only_record_that_a_killed_run_had_not_written_whole(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int
+) -> None:
+    """A file is made, then filled; a run may be killed at any moment between."""
+    whole = digest(compute_atlas(make(robot, tmp_path / "whole" / "atlas.zarr")))
+    job = make(robot, tmp_path / "broken" / "atlas.zarr")
+    interrupted(monkeypatch, job)
+    record, *others = sorted((job.parts / "finished").iterdir())
+    for other in others:
+        other.unlink()
+    record.write_bytes(record.read_bytes()[:length])
+    assert digest(compute_atlas(make(robot, job.path))) == whole
+
+
 def test_blocks_of_another_size_are_another_atlas(
     robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
