@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntFlag
 
 import numpy as np
@@ -59,14 +60,15 @@ def _broken(tripod: Tripod, poses: Array) -> dict[Limit, Mask]:
     """Tell which of n poses break each limit."""
     u_min, u_max, universal, spherical, z_low, z_high = tripod.bounds
     legs = Legs.at(tripod, poses)
-    u, angles = legs.travels, legs.passive_angles
+    u, cosines = legs.travels, legs.passive_cosines
+    universal_cosine, spherical_cosine = (math.cos(min(angle, math.pi)) for angle in (universal, spherical))
     tilts, height = np.abs(poses[:, :2]), poses[:, 2]
     # comparisons with NaN are false: a leg out of reach breaks REACH alone, a pose that is not a number its own limit
     return {
         Limit.REACH: np.isnan(u).any(axis=-1),
         Limit.STROKE: ((u < u_min) | (u > u_max)).any(axis=-1),
-        Limit.UNIVERSAL: (np.abs(angles[..., :2]) > universal).any(axis=(-1, -2)),
-        Limit.SPHERICAL: (angles[..., 2] > spherical).any(axis=-1),
+        Limit.UNIVERSAL: (cosines[..., :2] < universal_cosine).any(axis=(-1, -2)),
+        Limit.SPHERICAL: (cosines[..., 2] < spherical_cosine).any(axis=-1),
         Limit.TILT: ~(tilts <= universal).all(axis=-1),
         Limit.HEIGHT: ~((z_low <= height) & (height <= z_high)),
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -213,7 +213,7 @@ def _smoothed(points: Array, triangles: NDArray[np.intp]) -> Array:
     smoothed: Array = points / sizes
     mean = _mean_of_neighbours(len(points), triangles)
     for step in range(_SMOOTHING):
-        smoothed = smoothed + (-0.53 if step % 2 else 0.5) * (mean @ smoothed - smoothed)
+        smoothed = smoothed + (-0.53 if step % 2 else 0.5) * (mean(smoothed) - smoothed)
     return np.asarray(smoothed * sizes)
 
 
@@ -222,18 +222,28 @@ def _spread(limits: NDArray[np.intp], triangles: NDArray[np.intp]) -> Array:
     weights: Array = np.eye(int(limits.max(initial=0)) + 1)[limits]
     mean = _mean_of_neighbours(len(limits), triangles)
     for _ in range(_SPREADING):
-        weights = 0.5 * (weights + mean @ weights)
+        weights = 0.5 * (weights + mean(weights))
     return weights
 
 
-def _mean_of_neighbours(count: int, triangles: NDArray[np.intp]) -> Any:
-    """Return the sparse matrix that takes values at vertices to the means of their neighbours' along the edges."""
-    from scipy.sparse import coo_array
+def _mean_of_neighbours(count: int, triangles: NDArray[np.intp]) -> Callable[[Array], Array]:
+    """Return what takes values at vertices, shape=(count, k), to the means of their neighbours' along the edges.
 
+    Vertices of no triangle keep zeros.
+    """
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     start, end = np.concatenate([pairs, pairs[:, ::-1]]).T
-    share = 1.0 / np.maximum(np.bincount(start, minlength=count), 1)
-    return coo_array((share[start], (start, end)), shape=(count, count)).tocsr()
+    numbers = np.bincount(start, minlength=count)
+    ends = end[np.argsort(start, kind="stable")]
+    joined = np.flatnonzero(numbers)
+    firsts = (np.cumsum(numbers) - numbers)[joined]
+
+    def mean(values: Array) -> Array:
+        means = np.zeros_like(values)
+        means[joined] = np.add.reduceat(values[ends], firsts) / numbers[joined, None]
+        return means
+
+    return mean
 
 
 def _first(flags: Flags) -> NDArray[np.intp]:

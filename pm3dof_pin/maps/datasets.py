@@ -6,6 +6,7 @@ They have the fields of an xarray dataset without loading xarray, which takes lo
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -184,7 +185,7 @@ def _column_of_numbers(name: str, unit: str, values: Array) -> tuple[str, list[s
     if unit == "rad":
         unit, values = "deg", np.degrees(values)
     heading = name if unit == "1" else f"{name}_{unit.replace('/', '_per_').replace(' ', '_').replace(',', '')}"
-    return heading, ["" if not np.isfinite(value) else f"{value:.12g}" for value in values.flat]
+    return heading, [f"{value:.12g}" if math.isfinite(value) else "" for value in values.ravel().tolist()]
 
 
 def _words(values: Array, attributes: Mapping[str, Any]) -> list[str]:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.figures import workspace as workspace_module
 from pm3dof_pin.figures.style import LIMIT_STYLES, save_figure
-from pm3dof_pin.figures.workspace import _Sheet, workspace_figure
+from pm3dof_pin.figures.workspace import _mean_of_neighbours, _Sheet, workspace_figure
 from pm3dof_pin.maps.chapter_workspace import printed_ranges, tripod_space
 from pm3dof_pin.maps.workspace import Workspace, workspace
 
@@ -119,3 +119,11 @@ def _enclosed(lines: Collection) -> float:
     """Area within closed lines."""
     starts, ends = np.array([path.vertices for path in lines.get_paths()]).swapaxes(0, 1)
     return float(0.5 * np.sum(starts[:, 0] * ends[:, 1] - starts[:, 1] * ends[:, 0]))
+
+
+def test_means_of_neighbours() -> None:
+    two_triangles = np.array([[0, 1, 4], [4, 1, 2]])  # vertex 3 belongs to none; the edge from 1 to 4 counts twice
+    values = np.array([[1.0, -1.0], [2.0, 5.0], [4.0, 0.5], [8.0, 8.0], [16.0, 3.0]])
+    expected = [(values[1] + values[4]) / 2, (values[0] + values[2] + 2 * values[4]) / 4, (values[4] + values[1]) / 2]
+    expected += [np.zeros(2), (values[0] + values[2] + 2 * values[1]) / 4]
+    np.testing.assert_allclose(_mean_of_neighbours(5, two_triangles)(values), expected, rtol=1e-15)
