@@ -352,6 +352,12 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
         )
     elif not result["limits_given"]:
         remarks.append("no limits are given for the actuated joints: they are treated as unlimited")
+    if result["mobility"] is not None and len(robot.actuated_joints) > result["mobility"]:
+        remarks.append(
+            f"{len(robot.actuated_joints)} drives move {_counted(result['mobility'], 'degree')} of freedom: their "
+            "commands must agree; if some of these joints have no motor, name the driven ones with --drives JOINT,.., "
+            "or as name_mot in a closures file"
+        )
     if free := result["free_degrees_of_freedom"]:
         idle = result["idle_degrees_of_freedom"]
         of_these = f"; {idle} of these do not move the tool (such as a rod spinning about its own axis)" if idle else ""

@@ -161,6 +161,10 @@ def test_mobility_is_that_near_a_singular_home(tmp_path: Path) -> None:
     )
     result = info("--robot", tmp_path / "bars.urdf")
     assert (result["mobility_at_home"], result["mobility"]) == (2, 1)
+    asked = "name the driven ones with --drives"
+    assert not any(asked in said for said in info("--robot", tmp_path / "bars.urdf", "--drives", "a")["missing"])
+    with_two = info("--robot", tmp_path / "bars.urdf", "--drives", "a,c")["missing"]
+    assert any(said.startswith("2 drives move 1 degree of freedom") and asked in said for said in with_two)
 
 
 def test_what_was_read_over_and_springs_that_cannot_be_used(tmp_path: Path) -> None:

@@ -142,6 +142,10 @@ def test_a_joint_against_the_tree_keeps_its_coordinate(tmp_path: Path) -> None:
     robot = Robot.load(_written(tmp_path, text.replace('name="j4" type="revolute"', 'name="j4" type="ball"')))
     found = dict(zip(robot.q_names, robot.assemble(joints={"j1": 0.5}).q, strict=True))
     assert found["j3"] == pytest.approx(-0.5, abs=1e-9)
+    closing = _hinge("j4", "rocker", "coupler", "<pose>0.4 0 0 0 0 0</pose>", "ball")
+    unused = closing.replace("</axis>", f"{2 * '<use_parent_model_frame>0</use_parent_model_frame>'}</axis>")
+    text = FOUR_BAR.replace(_hinge("j4", "rocker", "coupler", "<pose>0.4 0 0 0 0 0</pose>"), unused)
+    assert Robot.load(_written(tmp_path, text)).closures, "a ball has no axis"
 
 
 def test_controllers_say_what_drives_a_loop(tmp_path: Path) -> None:
@@ -152,6 +156,14 @@ def test_controllers_say_what_drives_a_loop(tmp_path: Path) -> None:
     assert robot.actuated_joints == ("j4",)
     assert robot.description is not None
     assert "j3" in str(robot.description.unread[0]), "driven joints are not cut"
+    both = "<joint_name>j1</joint_name><joint_name>j4</joint_name></plugin></model>"
+    moved = '<plugin name="gz::sim::systems::JointTrajectoryController" filename="x">'
+    robot = Robot.load(_written(tmp_path, FOUR_BAR.replace("</model>", f"{moved}{both}")))
+    assert robot.actuated_joints == ("j1", "j4"), "a plugin names any number of joints"
+    for watching in ("gz::sim::systems::JointStatePublisher", "joint_state_publisher", "gazebo_ros_ft_sensor"):
+        watched = f'{plugin}<plugin name="{watching}" filename="x">{both}'
+        robot = Robot.load(_written(tmp_path, FOUR_BAR.replace("</model>", watched)))
+        assert robot.actuated_joints == ("j4",), "a plugin that publishes joints moves none"
 
 
 def test_a_joint_that_mimics_follows(tmp_path: Path) -> None:

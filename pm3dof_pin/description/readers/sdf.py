@@ -60,6 +60,9 @@ NAMESPACE = "urn:pm3dof-pin"
 
 _FREE_JOINT = "pm3dof:free_joint"
 _TWO_AXES = ("universal", "revolute2")
+_WITHOUT_AXIS = ("fixed", "ball")
+_ANY_AXES: tuple[tuple[float, ...], ...] = ((0.0, 0.0, 1.0),) * 2
+_WATCHERS = ("statepublisher", "forcetorque", "ftsensor")  # plugins that name joints and move none
 _CLOSURES: dict[str, ClosureTypeName] = {
     "fixed": "6d", "revolute": "hinge", "continuous": "hinge", "prismatic": "prismatic", "ball": "3d",
     "universal": "universal",
@@ -232,7 +235,7 @@ class _SdfReader(ElementReader):
     def _register(self, model: Element, scope: str, depth: int = 0) -> None:
         self.check_children(model, _MODEL_PARTS, _MODEL_PASSED)
         for element in self._with_included(model, depth):
-            if element.tag == "plugin" and child(element, "joint_name") is None:
+            if element.tag == "plugin" and not _controlled(element):
                 self.read_over(element)
             if element.tag == _FREE_JOINT:
                 self.free.append((scope, element))
@@ -425,7 +428,9 @@ class _SdfReader(ElementReader):
                 raise element.origin.error(f"{place}: {tag}", "expected a link")
             ends.append(self._link_of(self._resolved(given, scope, element)))
         placement = self._placement(name)
-        axes = tuple(self._axis(element, tag, scope, placement, place) for tag in ("axis", "axis2"))
+        axes = _ANY_AXES
+        if kind not in _WITHOUT_AXIS:  # what editors write there is of no use
+            axes = tuple(self._axis(element, tag, scope, placement, place) for tag in ("axis", "axis2"))
         return _Edge(name, kind, ends[0], ends[1], placement, axes, element)
 
     def _free_edge(self, scope: str, element: Element) -> _Edge:
@@ -433,7 +438,7 @@ class _SdfReader(ElementReader):
         if not element.get("name") or name in self.elements or not link:
             raise element.origin.error(named(element), "expected a name of its own, and a child")
         body = self._link_of(self._resolved(link, scope, element))
-        return _Edge(name, "floating", WORLD, body, self._placement(body), ((0.0, 0.0, 1.0),) * 2, element)
+        return _Edge(name, "floating", WORLD, body, self._placement(body), _ANY_AXES, element)
 
     def _axis(self, element: Element, tag: str, scope: str, placement: pin.SE3, place: str) -> tuple[float, ...]:
         xyz = child(child(element, tag), "xyz")
@@ -655,10 +660,17 @@ class _SdfReader(ElementReader):
         scopes = {"": model} | {f"{name}::": part for name, part in self.elements.items() if part.tag == "model"}
         for scope, part in scopes.items():
             for plugin in children(part, "plugin"):
-                for entry in children(plugin, "joint_name"):
-                    name = f"{scope}{(entry.text or '').strip()}"
+                for name in (f"{scope}{joint}" for joint in _controlled(plugin)):
                     if name in joints:
                         yield Drive(name, name, origin=plugin.origin)
+
+
+def _controlled(plugin: Element) -> list[str]:
+    """Return the names of the joints that a plugin moves: not of those that it only watches."""
+    kind = "".join(plugin.get(key, "") for key in ("name", "filename")).lower().replace("_", "").replace("-", "")
+    if any(watcher in kind for watcher in _WATCHERS):
+        return []
+    return [(entry.text or "").strip() for entry in children(plugin, "joint_name")]
 
 
 def _triple(axis: tuple[float, ...]) -> Axis:
