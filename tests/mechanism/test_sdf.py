@@ -314,6 +314,17 @@ def test_models_are_included_from_folders_next_to_the_file(model_folders: Path) 
     assert (elbow.effort, elbow.damping) == (None, 0.0)
 
 
+def test_of_several_models_that_are_missing_the_robot_is_named(model_folders: Path) -> None:
+    """Worlds of Gazebo include the sun and the ground before their robot, which may be in another folder."""
+    world = "<include><uri>model://sun</uri></include><include><uri>model://there</uri></include>"
+    model_folders.write_text(f"<sdf version='1.6'><world name='w'>{world}</world></sdf>", encoding="utf-8")
+    with pytest.raises(DescriptionError, match="--package-path, not 'model://there'"):
+        Robot.load(model_folders)
+    text = f"<sdf version='1.6'><world name='w'>{world.replace('there', 'arm')}</world></sdf>"
+    model_folders.write_text(text, encoding="utf-8")
+    assert Robot.load(model_folders).actuated_joints == ("elbow",), "what is missing beside it is read over"
+
+
 def test_merged_models_have_the_names_of_the_model_around_them(model_folders: Path) -> None:
     """The include turns the arm by 90 degrees about z: its x axis, here the elbow's, is y of the cell."""
     arm = ARM.replace("<xyz>0 0 1</xyz>", "<xyz expressed_in='__model__'>1 0 0</xyz>")

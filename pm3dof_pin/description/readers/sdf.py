@@ -207,14 +207,18 @@ class _SdfReader(ElementReader):
         Several become parts of one model, as its nested models.
         """
         models = [model for part in parts for model in children(part, "model")]
+        missing: list[tuple[Element, str]] = []
         for include in (include for part in parts for include in children(part, "include")):
             found = included_model(include, self.folders)
             if isinstance(found, Element):
                 models.append(found)
-            elif models:
-                self.read_over(include, found)
             else:
-                self.refuse(include, found)
+                missing.append((include, found))
+        for include, problem in reversed(missing):  # robots come after the sun and the ground
+            if models:
+                self.read_over(include, problem)
+            else:
+                self.refuse(include, problem)
         moving = [model for model in models if self._text(model, "static") not in ("true", "1")]
         for model in models if moving else []:
             if model not in moving:
