@@ -23,6 +23,7 @@ ZERO = 1e-9
 """Columns shorter than this times the longest at all sample poses are dropped."""
 
 _SHARE = 0.1  # of the best pivot's relative length; sufficient for a pivot that keeps more zeros
+_SHORT = 1e-3  # of the longest column: a shorter one, as of a rod's spin about an axis that is rounded, leads no row
 
 PIVOT = 1e-5
 """Smaller pivots leave a rank in doubt."""
@@ -152,6 +153,7 @@ def eliminate(
     active = list(range(len(rows)))
     usual = {c: typical(_lengths([row[c] for row in rows])) for c in columns}
     largest = max(usual.values(), default=0.0)
+    usual = {c: max(length, _SHORT * largest) for c, length in usual.items()}
     done: list[int] = []
     dropped: list[int] = []
     places: list[int] = []
