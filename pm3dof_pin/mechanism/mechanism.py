@@ -144,7 +144,9 @@ class Mechanism:
         )
 
         if tool_frame is not None:
-            self._frame_id(tool_frame, f"{self.source}: tool_frame")
+            index = self._frame_id(tool_frame, f"{self.source}: tool_frame")
+            if model.frames[index].parentJoint == 0 and model.njoints > 1:
+                raise DescriptionError(self.source, "tool_frame", f"expected a frame that moves, not '{tool_frame}'")
         self._check_couplings()
         self._check_closures()
         angular = [entry for closure in self.closures for entry in closure.kind.is_angular]

@@ -145,6 +145,12 @@ def test_a_bad_urdf_is_one_error_and_silence(
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_tool_that_cannot_move(write_robot: Writer) -> None:
+    path = write_robot(ARM, NO_CLOSURES)
+    with pytest.raises(DescriptionError, match="tool_frame: expected a frame that moves, not 'base'"):
+        Robot.load(path, tool_frame="base")
+
+
 @pytest.mark.parametrize(
     ("srdf", "error", "reason"),
     [
