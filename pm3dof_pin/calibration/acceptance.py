@@ -38,6 +38,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, MeasurementError, UnreachablePoseError
 from pm3dof_pin.files import csv_text, read_text, write_text_atomically
 from pm3dof_pin.kinematics.broken_limits import broken_limits
+from pm3dof_pin.kinematics.mobility import instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.export_file import ColumnMap, Export
 from pm3dof_pin.measuring.joint_columns import command_columns
@@ -217,16 +218,21 @@ def write_acceptance_plan(
 ) -> Path:
     """Write the commands of a test, corrected if a calibration is given, under conditions by name.
 
-    A tool with six degrees of freedom keeps its orientation at home.
+    A tool that can, as one with six degrees of freedom, keeps its orientation at home.
 
     Raises:
         UnreachablePoseError: a point is out of reach, or breaks a limit of a joint.
+        SingularConfigurationError: the drives do not determine the pose anywhere.
         InvalidValueError: the calibration depends on a condition that is not given.
         OutputError: the file cannot be written.
     """
+    robot.require_regular_drives(from_home=False)
     transforms = np.tile(robot.configuration(robot.home.q).tool_placement.homogeneous, (len(points), 1, 1))
     transforms[:, :3, 3] = points
-    nominal = robot.reach(transforms if len(robot.tool_motions) == len(TOOL_COMPONENTS) else points)
+    keeps = len(robot.tool_motions) == len(TOOL_COMPONENTS)
+    if keeps and instantaneous_mobility(robot.home).tool_mobility < len(TOOL_COMPONENTS):
+        keeps = bool(robot.reach(transforms, on_failure="nan").solved.all())
+    nominal = robot.reach(transforms if keeps else points)
     commands = nominal.commands
     if compensation is not None:
         commands = compensation.compensate(nominal, conditions).commands

@@ -180,10 +180,11 @@ class Compensation:
 
         Raises:
             UnreachablePoseError: the machine cannot reach a pose, and `on_failure` is "raise".
-            SingularConfigurationError: the tool can move there with all drives locked, likewise.
+            SingularConfigurationError: the tool can move there with all drives locked, likewise; or it can anywhere.
             ConvergenceError: the correction does not converge.
             InvalidValueError: poses of a wrong shape, or a condition is missing.
         """
+        self.errors.robot.require_regular_drives(from_home=False)
         if isinstance(wanted, Poses):
             nominal = wanted if wanted.shape else wanted.reshape(1)
         else:

@@ -36,6 +36,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion, tip_weights
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_bytes, read_text, replace_directory, write_text_atomically
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurement_file import write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 
@@ -230,9 +231,11 @@ def accuracy_rows(errors: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
-    """Return a compensation as JSON at full precision, naming the nominal robot's URDF."""
+    """Return a compensation as JSON at full precision, naming the nominal robot's URDF, and what it does not say."""
     # JSON has no infinity
     covariance, learned = compensation.known_covariance, compensation.learned
+    robot = compensation.errors.robot
+    described = robot.description
     scale = None
     if learned is not None:
         inputs = learned.inputs
@@ -244,7 +247,10 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
     data = {
         "format": _FORMAT,
         "urdf": urdf,
-        "tool_frame": compensation.errors.robot.tool_frame,
+        "tool_frame": robot.tool_frame,
+        "drives": None if robot.actuated_joints == described.actuated_joints else list(robot.actuated_joints),
+        "springs": None if robot.springs == described.springs else [dict(entry) for entry in robot.springs],
+        "hold_base": not described.floating_bodies,
         "eta_m_per_rad": compensation.eta,
         "unexplained_m": compensation.scatter.tip_error,
         "scatter_everywhere_m2": compensation.scatter.everywhere.tolist(),
@@ -269,8 +275,15 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
 def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
     if Path(data["urdf"]).name != data["urdf"]:
         raise DescriptionError(directory / _COMPENSATION, "urdf", f"expected a file's name, not '{data['urdf']}'")
-    described = GeometricErrors.load(directory / "nominal" / data["urdf"], tool_frame=data.get("tool_frame"))
-    errors, scale, learned = described.select(data["parameters"]), data["inputs"], None
+    robot = Robot.load(
+        directory / "nominal" / data["urdf"],
+        tool_frame=data.get("tool_frame"),
+        drives=data.get("drives"),
+        hold_base=data.get("hold_base"),
+    )
+    if data.get("springs") is not None:
+        robot = robot.replace(springs=data["springs"])
+    errors, scale, learned = GeometricErrors.load(robot).select(data["parameters"]), data["inputs"], None
     if scale is not None:
         inputs = InputScale(tuple(scale["conditions"]), np.array(scale["centre"]), np.array(scale["half_range"]))
         learned = LearnedPart.from_data(data["pseudo_error"], inputs)

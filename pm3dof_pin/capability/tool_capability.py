@@ -264,13 +264,14 @@ def tool_capability(
         options: see :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
 
     Raises:
-        SingularConfigurationError: the drives do not determine the tool's motion at a pose.
+        SingularConfigurationError: the drives do not determine the tool's motion at a pose, or anywhere.
         InvalidValueError: a limit is negative, or names no drive.
         DescriptionError: the robot has no tool frame.
     """
     require_kind("robot", robot, Robot, "pm.load")
     if not robot.actuated_joints:
         raise SingularConfigurationError(f"{robot.name} has no drives")
+    robot.require_regular_drives(from_home=False)
     names = [robot.actuated_joints[index] for index in robot.placing_drives]
     tool = jacobian(robot, poses, of="tool", by=names, **options).values
     if len(names) < len(robot.actuated_joints):

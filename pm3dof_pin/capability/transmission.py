@@ -337,6 +337,7 @@ def transmission(
         problem = f"the drives ({first_words(drives)}) cannot determine {first_words(names)}"
         problem = problem if drives else "there are no drives"
         raise SingularConfigurationError(f"{robot.name}: {problem}: name the driven joints, as with --drives A,B")
+    robot.require_regular_drives(from_home=False)
     if isinstance(values, Poses):
         poses, asked = values, values.coordinates
     else:

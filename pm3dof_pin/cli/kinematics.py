@@ -19,6 +19,7 @@ from pm3dof_pin.cli.poses import (
     names_and_units,
     place,
     read_table,
+    say_if_drives_are_dependent,
     si_values,
     solve_chosen,
     solve_pose,
@@ -66,6 +67,7 @@ def ik(
     if solved is None:
         return
     result, broken = _result(machine, solved)
+    say_if_drives_are_dependent(machine)
     print_result(result, _ik_lines(machine, result), as_json=as_json)
     stop_on_broken_limits(broken)
 

@@ -14,7 +14,7 @@ from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.command import NUMBER_OF_VALUES
 from pm3dof_pin.cli.options import finite_number
 from pm3dof_pin.cli.output import message
-from pm3dof_pin.cli.poses import check_units, in_si
+from pm3dof_pin.cli.poses import check_units, in_si, say_if_drives_are_dependent
 from pm3dof_pin.description.coordinates import Coordinate, shown_in
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.grid import Grid
@@ -114,6 +114,7 @@ def robot_grid(
     robot: Robot, ranges: Sequence[CoordinateRange] | None, values: Sequence[CoordinateRange] | None = None
 ) -> Grid:
     """Return the grid of `--range` (or `--over`) and `--at`; wrong usage ends the command with status 2."""
+    say_if_drives_are_dependent(robot)
     given = [*(ranges or ()), *(values or ())]
     names = [entry.name for entry in given]
     known = {coordinate.name: coordinate for coordinate in robot.coordinates}

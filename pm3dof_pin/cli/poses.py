@@ -15,7 +15,12 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.cli.options import PlaceOptions, PoseOptions
 from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, stop_on_broken_limits
 from pm3dof_pin.description.coordinates import Coordinate, pose_in_words, shown_in
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError, first_words
+from pm3dof_pin.exceptions import (
+    InvalidValueError,
+    SingularConfigurationError,
+    UnreachablePoseError,
+    first_words,
+)
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.branches import start_of
 from pm3dof_pin.kinematics.broken_limits import broken_limits
@@ -53,9 +58,18 @@ def solve_chosen(
     return None
 
 
+def say_if_drives_are_dependent(robot: Robot) -> None:
+    """Say it if the drives do not determine the pose anywhere, where an answer is true all the same."""
+    try:
+        robot.require_regular_drives(from_home=False)
+    except SingularConfigurationError as error:
+        message(f"pm3dof: {error}")
+
+
 def print_at_pose(pose: Poses, result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> None:
     """Print one pose, shape=(), and a result about it; exit with status 1 if the pose breaks a limit."""
     robot = pose.robot
+    say_if_drives_are_dependent(robot)
     header: dict[str, Any] = {"robot": robot.name}
     if robot.coordinates:
         header["pose"] = {c.name: float(value) for c, value in zip(robot.coordinates, pose.coordinates, strict=True)}
@@ -90,6 +104,7 @@ def read_table(robot: Robot, path: Path, *, given: Given = "coordinates", used: 
 
 def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None, as_json: bool) -> None:
     """Write columns about many poses and the limits they break; exit with status 1 if any pose breaks one."""
+    say_if_drives_are_dependent(poses.robot)
     table = {**columns, BROKEN_LIMITS: limit_words(poses)}
     inside = int(poses.within_limits.sum())
     if as_json:

@@ -90,7 +90,7 @@ def _lines(result: dict[str, Any]) -> list[str]:
     ]
     lines = table_lines(["actuated joint", "holding force", ""], rows)
     if not result["actuator_forces_unique"]:
-        lines.append("more actuators than degrees of freedom: these holding forces are the least ones")
+        lines.append("other forces balance too, as of more actuators than degrees of freedom: these are the least ones")
     if result["unbalanced_idle"]:
         lines.append("gravity turns links that are free to spin; this affects neither actuators nor tool")
     if result["closures"]:

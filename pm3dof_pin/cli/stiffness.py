@@ -94,10 +94,10 @@ def stiffness(
     if isinstance(forces, dict):
         loads = preload(elastic, configuration, forces)
         loaded = loaded_equilibrium(elastic, configuration, loads)
-        result = _read(loaded.tangent_compliance(), (), np.zeros((0, 6, 6)))
+        result = _read(elastic, loaded.tangent_compliance(), (), np.zeros((0, 6, 6)))
         result |= {"preload": loads.efforts, "least_eigenvalue": loaded.least_eigenvalue}
     else:
-        result = _read(tool.compliance, tool.spring_names, tool.contributions)
+        result = _read(elastic, tool.compliance, tool.spring_names, tool.contributions)
     if tool.rigid_directions.size:  # K does not exist, C does
         result |= {"K": None, "rigid_directions": tool.rigid_directions.T}
         free = _free_motions(elastic, tool, configuration)
@@ -151,7 +151,7 @@ def _read_free_motions(free: FreeMotionStiffness) -> dict[str, Any]:
 def _columns(elastic: ElasticModel, poses: Poses) -> dict[str, Array]:
     """Return the felt stiffness and the compliance of many poses as columns."""
     matrices = compliance(elastic, poses, on_failure="nan")
-    felt = axis_stiffness(np.einsum("nii->ni", matrices))
+    felt = axis_stiffness(np.einsum("nii->ni", matrices), elastic.mechanism.length_unit)
     columns = {column_of(f"felt_{axis}", UNITS[k]): felt[:, k] for k, axis in enumerate(TOOL_COMPONENTS)}
     for row, column in itertools.combinations_with_replacement(range(6), 2):
         unit = ("m/N", "1/N", "rad/(N m)")[(row >= 3) + (column >= 3)]
@@ -169,9 +169,9 @@ def _print_chapter(tripod: Tripod, pose: Vector, as_json: bool) -> None:
     print_result(result, table_lines(["axis", "stiffness", "unit"], rows), as_json=as_json)
 
 
-def _read(compliance: Matrix, names: Sequence[str], contributions: Array) -> dict[str, Any]:
+def _read(elastic: ElasticModel, compliance: Matrix, names: Sequence[str], contributions: Array) -> dict[str, Any]:
     """Return the results from a compliance; a rigid axis has infinite felt stiffness and no shares."""
-    felt = axis_stiffness(np.diag(compliance))
+    felt = axis_stiffness(np.diag(compliance), elastic.mechanism.length_unit)
     with np.errstate(divide="ignore", invalid="ignore"):
         parts = shares(contributions[None], np.eye(6))  # a unit force or moment along each axis in turn
     parts[np.isinf(felt)] = np.nan

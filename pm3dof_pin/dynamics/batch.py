@@ -79,6 +79,7 @@ def _of_drives(
 ) -> Array:
     """Return a vector (order 1) or matrix (order 2) over the actuated joints at poses."""
     require_kind("robot", robot, Robot, "pm.load")
+    robot.require_regular_drives(from_home=False)
     model = model_with_payloads(robot, payloads)
 
     def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:

@@ -8,6 +8,7 @@ import pinocchio as pin
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
+from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.mechanism.scratch_data import scratch_data
@@ -38,11 +39,13 @@ def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None
     rates themselves if there are more actuators than degrees of freedom. Shape=(u, u) [kg, kg m, kg m^2].
 
     Raises:
-        SingularConfigurationError: the tool can move with the actuated joints at rest.
+        SingularConfigurationError: the tool can move with the actuated joints at rest, here or everywhere.
         InvalidValueError: the loops are not closed.
         PM3DofError: as :func:`mass_matrix`.
     """
     mechanism, dof = mechanism_of(configuration), DegreesOfFreedom(configuration)
+    if isinstance(mechanism, PlacedMechanism):
+        mechanism.require_regular_drives(from_home=False)
     idle = dof.idle.motions.shape[1] if mechanism.tool_frame is not None else 0
     if dof.at_actuators.motions.shape[1] > idle:
         raise SingularConfigurationError(

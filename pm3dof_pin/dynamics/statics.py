@@ -10,6 +10,7 @@ import pinocchio as pin
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import ConvergenceError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
+from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.kinematics.singularity import singularities
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads, weight_scale
@@ -66,7 +67,8 @@ def holding_forces(
         wrenches: external wrenches [f; m], by frame, at its origin, world axes, shape=(6,) [N, N m].
 
     Raises:
-        SingularConfigurationError: no actuator forces hold the mechanism, as at a parallel singularity.
+        SingularConfigurationError: no actuator forces hold the mechanism, as at a parallel singularity, or its drives
+            do not determine its pose anywhere.
         FrameNotFoundError: a payload or wrench names a frame that the model does not have.
         InvalidValueError: a payload or wrench is not finite or has the wrong shape, or the loops are not closed.
     """
@@ -89,10 +91,13 @@ def balance(configuration: Configuration, load: Vector, *, reference: float) -> 
     load has shape=(nv,) [N, N m]; `reference`, the size of its terms [N m], sets the level of rounding.
 
     Raises:
-        SingularConfigurationError: the load works on a motion of the tool that the actuated joints do not hold.
+        SingularConfigurationError: the load works on a motion of the tool that the actuated joints do not hold, or
+            these do not determine the pose anywhere.
         InvalidValueError: the loops are not closed.
     """
     mechanism = configuration.mechanism
+    if isinstance(mechanism, PlacedMechanism):
+        mechanism.require_regular_drives(from_home=False)
     dof = DegreesOfFreedom(configuration)
     scaled = dof.scale * load
     rounding = SOLVED * (reference + float(np.linalg.norm(scaled)))

@@ -41,21 +41,35 @@ def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", o
     return inverse
 
 
-def axis_stiffness(compliances: ArrayLike) -> Array:
+def axis_stiffness(compliances: ArrayLike, length: float = 1.0) -> Array:
     """Return the stiffness along and about each axis with all other motions free, shape=(..., 6) [N/m, N m/rad].
 
-    Axes whose compliance is rounding relative to the greatest of the same kind are rigid: infinitely stiff.
+    Axes whose compliance is :func:`rounding` are rigid: infinitely stiff.
 
     Args:
         compliances: the diagonal of C, shape=(..., 6).
+        length: the size of the machine [m].
+    """
+    diagonal = np.asarray(compliances, dtype=float)
+    kinds = diagonal.reshape(*diagonal.shape[:-1], 2, 3)
+    with np.errstate(divide="ignore"):
+        stiffness: Array = np.where(kinds <= rounding(diagonal, length)[..., None], np.inf, 1.0 / kinds)
+    return stiffness.reshape(diagonal.shape)
+
+
+def rounding(compliances: ArrayLike, length: float = 1.0) -> Array:
+    """Return up to what translational, and rotational, compliances are zero but for rounding, shape=(..., 2).
+
+    That is relative to the greatest of the same kind; or, where all of a kind are zero, as at the centre of a spherical
+    mechanism, to the square of what roots of the compliance lose of the other kind. Arguments as
+    :func:`axis_stiffness`.
     """
     diagonal = np.asarray(compliances, dtype=float)
     kinds = diagonal.reshape(*diagonal.shape[:-1], 2, 3)
     # column by column: a reduction over an axis of three takes three times as long
-    softest = np.maximum(np.maximum(kinds[..., :1], kinds[..., 1:2]), kinds[..., 2:])
-    with np.errstate(divide="ignore"):
-        stiffness: Array = np.where(kinds <= ROUNDING * softest, np.inf, 1.0 / kinds)
-    return stiffness.reshape(diagonal.shape)
+    softest = np.maximum(np.maximum(kinds[..., 0], kinds[..., 1]), kinds[..., 2])
+    other = softest[..., ::-1] * (ROUNDING**2 * np.array([length**2, length**-2]))
+    return np.asarray(np.maximum(ROUNDING * softest, other))
 
 
 def principal_axes(matrix: ArrayLike) -> Ellipsoid:

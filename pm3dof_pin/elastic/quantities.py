@@ -22,9 +22,11 @@ from pm3dof_pin.elastic.report import CartesianCompliance
 from pm3dof_pin.elastic.traced import Roots
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.programs.elimination import squared_singular_values, total, zeros
-from pm3dof_pin.programs.graph import is_zero, less, maximum, select, sqrt
+from pm3dof_pin.programs.graph import Scalar, is_zero, less, maximum, select, sqrt
 from pm3dof_pin.tolerances import ROUNDING
 from pm3dof_pin.typing import Array, Matrix, Objects, Vector
+
+_SINGULAR = 1e-10  # of the greatest eigenvalue of K: so little may be that of a free direction
 
 
 @dataclass(frozen=True)
@@ -61,28 +63,40 @@ def _axis_compliance(roots: Roots) -> Objects:
 def _axis_stiffness(roots: Roots) -> Objects:
     """Return the same as :func:`~pm3dof_pin.elastic.indices.axis_stiffness`."""
     compliances = _axis_compliance(roots)
-    stiffness = np.full(6, math.inf, dtype=object)
-    for kind in (slice(0, 3), slice(3, 6)):
-        rigid = reduce(maximum, compliances[kind]) * ROUNDING
-        stiffness[kind] = [
-            math.inf if is_zero(c) else select(less(rigid, c), 1.0 / c, math.inf) for c in compliances[kind]
-        ]
-    return stiffness
+    pairs = zip(compliances, _rounding(roots, compliances), strict=True)
+    return np.array([_inverse(compliance, zero, math.inf) for compliance, zero in pairs], dtype=object)
+
+
+def _rounding(roots: Roots, compliances: Objects) -> list[Scalar]:
+    """Return the same as :func:`~pm3dof_pin.elastic.indices.rounding`, for each axis."""
+    softest = [reduce(maximum, compliances[:3]), reduce(maximum, compliances[3:])]
+    square = roots.model.mechanism.length_unit**2
+    others = [softest[1] * (ROUNDING**2 * square), softest[0] * (ROUNDING**2 / square)]
+    return [maximum(own * ROUNDING, other) for own, other in zip(softest, others, strict=True) for _ in range(3)]
+
+
+def _inverse(value: Scalar, zero: Scalar, otherwise: float) -> Scalar:
+    """Return 1 / value, or another number where the value is no more than rounding."""
+    if is_zero(value):
+        return otherwise
+    with np.errstate(divide="ignore"):
+        return select(less(zero, value), 1.0 / value, otherwise)
 
 
 def _principal(roots: Roots) -> Objects:
     """Return the principal stiffnesses of both blocks of the compliance, ascending, shape=(2, 3)."""
     result = zeros(2, 3)
-    for block in range(2):
+    for block, zero in enumerate(_rounding(roots, _axis_compliance(roots))[::3]):
         squares = squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
-        rigid = squares[-1] * ROUNDING
-        elastic = [select(less(rigid, s), s, 0.0) for s in reversed(squares)]
-        result[block] = [math.inf if is_zero(s) else 1.0 / s for s in elastic]
+        result[block] = [_inverse(s, zero, math.inf) for s in reversed(squares)]
     return result
 
 
 def _conditioning(roots: Roots) -> Objects:
-    """Return the eigenvalues of K at its characteristic length, ascending, and this length."""
+    """Return the eigenvalues of K at its characteristic length, ascending, and this length.
+
+    Where the least of them may be zero, as the tool may be free, they are in doubt.
+    """
     try:
         columns = roots.stiffness
     except RigidDirectionError:
@@ -95,7 +109,9 @@ def _conditioning(roots: Roots) -> Objects:
     length = sqrt(rotation / translation)
     scaled = columns.copy()
     scaled[3:] = scaled[3:] * (1.0 / length)
-    return np.array([*squared_singular_values(scaled), length], dtype=object)
+    squares = squared_singular_values(scaled)
+    roots.is_sound = roots.is_sound & less(squares[-1] * _SINGULAR, squares[0])
+    return np.array([*squares, length], dtype=object)
 
 
 def _computed_stiffness(report: CartesianCompliance) -> Array:
@@ -104,24 +120,35 @@ def _computed_stiffness(report: CartesianCompliance) -> Array:
 
 def _computed_principal(report: CartesianCompliance) -> Array:
     blocks = (report.compliance[:3, :3], report.compliance[3:, 3:])
-    return np.stack([_principal_stiffnesses(block) for block in blocks])
+    return np.stack(
+        [_principal_stiffnesses(block, zero) for block, zero in zip(blocks, _rounding_of(report), strict=True)]
+    )
 
 
-def _principal_stiffnesses(block: Matrix) -> Vector:
+def _rounding_of(report: CartesianCompliance) -> Vector:
+    compliances = report.contributions.sum(axis=0).diagonal()
+    return indices.rounding(compliances, report.configuration.mechanism.length_unit)
+
+
+def _principal_stiffnesses(block: Matrix, zero: float) -> Vector:
     """Return the principal stiffnesses of a block of the compliance, ascending; infinite where it is rigid."""
-    stiffness = inverse_definite(block)
-    if np.isfinite(stiffness).all():
-        return indices.principal_axes(stiffness).values
-    values = np.linalg.eigvalsh(block)[::-1]
+    found = indices.principal_axes(inverse_definite(block)).values
     with np.errstate(divide="ignore"):
-        return np.where(values > ROUNDING * values[0], 1.0 / values, np.inf)
+        values = 1.0 / found if np.isfinite(found).all() else np.linalg.eigvalsh(block)[::-1]
+        return np.where(values > zero, 1.0 / values, np.inf)
 
 
 def _computed_conditioning(report: CartesianCompliance) -> Array:
-    if not report.exists:
+    if report.rigid_directions.size:
+        return np.full(7, np.nan)
+    unit = report.configuration.mechanism.length_unit
+    kinds = np.trace(report.stiffness[:3, :3]) * unit**2, np.trace(report.stiffness[3:, 3:])
+    if min(kinds) <= ROUNDING * max(kinds):  # all rotations are free, or all translations
         return np.full(7, np.nan)
     length = indices.characteristic_length(report.stiffness)
-    return np.append(indices.eigenvalues(report.stiffness, length), length)
+    values = np.array(indices.eigenvalues(report.stiffness, length))
+    values[: report.free_directions.shape[1]] = 0.0
+    return np.append(values, length)
 
 
 COMPLIANCE = ElasticQuantity(
@@ -138,7 +165,10 @@ AXIS_COMPLIANCE = ElasticQuantity(
 """Deflection along each axis under a unit force or moment along it, all else free [m/N, rad/(N m)]."""
 
 AXIS_STIFFNESS = ElasticQuantity(
-    "axis_stiffness", (6,), _axis_stiffness, lambda report: indices.axis_stiffness(report.compliance.diagonal())
+    "axis_stiffness",
+    (6,),
+    _axis_stiffness,
+    lambda report: indices.axis_stiffness(report.compliance.diagonal(), report.configuration.mechanism.length_unit),
 )
 """Stiffness along and about each axis, all else free; infinite where it is rigid [N/m, N m/rad]."""
 
@@ -146,25 +176,31 @@ PRINCIPAL_STIFFNESS = ElasticQuantity("principal_stiffness", (2, 3), _principal,
 """Principal stiffnesses of the translations, then of the rotations, all else free, ascending [N/m], [N m/rad]."""
 
 CONDITIONING = ElasticQuantity("conditioning", (7,), _conditioning, _computed_conditioning)
-"""Eigenvalues of K at its characteristic length, ascending [N/m], and this length [m]."""
+"""Eigenvalues of K at its characteristic length, ascending, zero for free directions [N/m], and this length [m]."""
 
 
 def spring_shares(model: ElasticModel) -> ElasticQuantity:
-    """Return the share of each spring in the deflection under a unit wrench along each axis, shape=(6, springs)."""
+    """Return the share of each spring in the deflection under a unit wrench along each axis, shape=(6, springs).
+
+    NaN along rigid axes.
+    """
 
     def traced(roots: Roots) -> Objects:
         squares = roots.compliance_by_spring * roots.compliance_by_spring
         shares = zeros(6, len(model.blocks))
         for i, row in enumerate(squares):
-            parts = [total(list(row[spring])) for spring in model.spring_slices]
-            inverse = math.nan if is_zero(whole := total(parts)) else 1.0 / whole
-            shares[i] = [part * inverse for part in parts]
+            shares[i] = [total(list(row[spring])) for spring in model.spring_slices]
+        compliances = np.array([total(list(parts)) for parts in shares], dtype=object)
+        for parts, whole, zero in zip(shares, compliances, _rounding(roots, compliances), strict=True):
+            inverse = _inverse(whole, zero, math.nan)
+            parts[:] = [part * inverse for part in parts]
         return shares
 
     def computed(report: CartesianCompliance) -> Array:
         parts = np.einsum("sii->is", report.contributions)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(parts / parts.sum(axis=1, keepdims=True))
+        whole = parts.sum(axis=1, keepdims=True)
+        is_rigid = whole <= np.repeat(_rounding_of(report), 3)[:, None]
+        return np.asarray(parts / np.where(is_rigid, np.nan, whole))
 
     return ElasticQuantity("spring_shares", (6, len(model.blocks)), traced, computed)
 

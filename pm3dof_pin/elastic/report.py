@@ -93,16 +93,15 @@ class CartesianCompliance:
         """Return the stiffness of some motions of the frame, with all others held, shape=(p, p).
 
         For twist = T c, with T of shape=(6, p), this is T^T K T. It can exist where K does not, for example over the
-        three motions of a planar mechanism.
+        three motions of a planar mechanism. What is free has no stiffness.
 
         Raises:
             RigidDirectionError: the springs do not permit some of these motions; the message names them.
-            FreeDirectionError: the frame has free directions; the message names them.
         """
-        if self.free_directions.size:
-            raise FreeDirectionError(self._message("moves freely, with all springs at rest", self.free_directions))
         scale = self.configuration.mechanism.twist_scale[:, None]
         targets = finite_array("twists", twists, (6, np.shape(twists)[-1])) / scale
+        free = self.free_directions / scale
+        targets = targets - free @ (free.T @ targets)
         strains = np.linalg.lstsq(self._twists / scale, targets, rcond=RANK_TOLERANCE**2)[0]
         missed = np.abs(self._twists @ strains / scale - targets).max(initial=0.0)
         if missed > RANK_TOLERANCE * np.abs(targets).max(initial=0.0):

@@ -52,6 +52,7 @@ def kinematic_sum(
         PM3DofError: see :func:`~pm3dof_pin.errors.error_budget.error_budget`.
     """
     robot = sources.robot
+    robot.require_regular_drives(from_home=False)
 
     def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
         flat, sound = kinematic_sum_program(sources, name, eta).with_doubt(q, threads)

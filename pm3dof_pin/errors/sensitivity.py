@@ -90,11 +90,12 @@ def sensitivities(
     Raises:
         InvalidValueError: a pose is not solved; or the loops cannot close with an error (for overconstrained or planar
             robots); see :func:`closable`.
-        SingularConfigurationError: at some pose the tool can move with all drives locked, or independent drives cannot
-            move one by one.
+        SingularConfigurationError: at some pose, or nearly so at all, the tool can move with all drives locked, or
+            independent drives cannot move one by one.
     """
     require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
     require_kind("poses", poses, Poses, "Robot.solve")
+    poses.robot.require_regular_drives(from_home=False)
     engine = errors.robot.engine if engine is None else engine
     require_choice("engine", engine, Engine)
     p = errors.zeros if values is None else errors.values(values)

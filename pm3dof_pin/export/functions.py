@@ -76,7 +76,7 @@ def export_functions(robot: Robot, of: Sequence[str], to: Target, folder: Path |
     require_choice("to", to, Target)
     described: dict[str, Described] = {}
     names = list(dict.fromkeys(of))
-    controller = Controller(robot) if names == ["all"] else None  # what has none is refused before long work
+    controller = _controller(robot) if names == ["all"] else None  # what has none is refused before long work
     if names == ["all"]:
         described = dict(all_quantities(robot))
         names = [*(name for name in KINEMATICS if name != "transform" or robot.tool_frame is not None), *described]
@@ -87,7 +87,7 @@ def export_functions(robot: Robot, of: Sequence[str], to: Target, folder: Path |
     described |= {name: describe_quantity(robot, name) for name in names if name not in (*KINEMATICS, *described)}
     if invalid := [name for name in described if not name.isidentifier()]:
         raise InvalidValueError("of", invalid[0], "a quantity that can be the name of a function")
-    controller = controller or Controller(robot)
+    controller = controller or _controller(robot)
     if to == "c":
         files = c_files(controller)
         if described:
@@ -98,6 +98,14 @@ def export_functions(robot: Robot, of: Sequence[str], to: Target, folder: Path |
     else:
         files = {f"{controller.name}_{to}.py": _module(controller, names, described, to)}
     return [write_text_atomically(Path(folder) / name, text) for name, text in files.items()]
+
+
+def _controller(robot: Robot) -> Controller:
+    try:
+        return Controller(robot)
+    except ProgramError as error:
+        advice = "functions are printed from programs; in Python, Robot.solve, Robot.forward and pm.jacobian do without"
+        raise ProgramError(f"{error}: {advice} (engine='pinocchio')") from error
 
 
 def _c(controller: Controller, name: str, each: Described, poses: Poses) -> str:

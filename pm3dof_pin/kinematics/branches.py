@@ -71,7 +71,7 @@ class Branches:
         self._home = robot.home if home is None else home
         self._held = [robot.single_joint(c.joint).v_index for c in robot.coordinates if c.joint is not None]
         self._tool = [TOOL_COMPONENTS.index(c.tool) for c in robot.coordinates if c.tool is not None]
-        self._drives = robot.actuated_indices.tolist()
+        self._drives = robot.branching_drives
         self._nearby = np.array(_closed_nearby(robot, self._home))
 
     @cached_property

@@ -8,16 +8,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
 import pinocchio as pin
 
+from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.placed_mechanism import PlacedMechanism
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.cache import compiled, known, require_short, stored
 from pm3dof_pin.programs.checks import checks_program
 from pm3dof_pin.programs.closing import Task, closing_program, damped_closing_program
+from pm3dof_pin.programs.llvm_ir import NO_COMPILER
 from pm3dof_pin.programs.masses import mass_content, mass_numbers, mass_pattern
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
@@ -146,6 +149,8 @@ class ProgramSource:
 
     def require_walk(self, robot: PlacedMechanism, task: Task) -> None:
         """Raise what :meth:`walk` and :meth:`checks` do, except where LLVM fails: nothing is compiled."""
+        if find_spec("llvmlite") is None:
+            raise ProgramError(NO_COMPILER)
         dense = self._geometry_of(robot)[1]
         for program in (self._recorded_step(task, dense), self._recorded_checks(dense)):
             require_short(program)

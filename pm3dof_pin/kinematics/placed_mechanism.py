@@ -229,6 +229,23 @@ class PlacedMechanism(Mechanism):
         motions, told, _ = self._motions_of_drives
         return told == motions
 
+    @property
+    def drives_are_dependent(self) -> bool:
+        """Whether the drives are enough to place the mechanism, and yet do not determine its pose anywhere around home.
+
+        As those of a platform on legs whose ends are similar hexagons. Where the loops are open, solvers report that.
+        """
+        try:
+            motions, told, _ = self._motions_of_drives
+        except (ConvergenceError, InvalidValueError):
+            return False
+        return told < min(motions, len(self.commands))
+
+    @property
+    def branching_drives(self) -> list[int]:
+        """Entries of v of the drives whose rates tell branches apart: none if they are dependent."""
+        return [] if self.drives_are_dependent else super().branching_drives
+
     def require_regular_drives(self, *, from_home: bool = True) -> None:
         """Check that poses follow from the commands, unless there are too few drives. Solvers report open loops.
 
@@ -236,19 +253,19 @@ class PlacedMechanism(Mechanism):
             from_home: whether poses are reached from home.
 
         Raises:
-            SingularConfigurationError: the drives are enough, but do not determine the pose anywhere around home, as of
-                a platform on legs whose ends are similar hexagons; or, if `from_home`, redundant ones do not at home,
-                so that commands next to it have several poses.
+            SingularConfigurationError: :attr:`drives_are_dependent`; or, if `from_home`, redundant ones do not
+                determine the pose at home, so that commands next to it have several poses.
         """
         try:
-            motions, told, at_home = self._motions_of_drives
+            _, told, at_home = self._motions_of_drives
         except (ConvergenceError, InvalidValueError):
             return
         drives = f"{self.name}: the drives {first_words(self.actuated_joints)} do not determine the pose"
-        if told < min(motions, len(self.commands)):
+        if self.drives_are_dependent:
             raise SingularConfigurationError(
-                f"{drives}, at home and all around it: with these at rest the tool can move. Place it by coordinates "
-                "of the tool (`coordinates` of the closures file; pm3dof ik), or by other drives (--drives)"
+                f"{drives}, at home and all around it: with these at rest the tool can move, under any load. Place it "
+                "by coordinates of the tool (`coordinates` of the closures file; pm3dof ik), or by other drives "
+                "(--drives)"
             )
         if from_home and at_home < told:
             raise SingularConfigurationError(

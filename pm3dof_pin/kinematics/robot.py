@@ -556,12 +556,13 @@ class Robot(PlacedMechanism):
 
     def _solver(self, coordinates: tuple[Coordinate, ...]) -> Continuation | str:
         """Return the solver for these coordinates by programs, or why there is none."""
-        from pm3dof_pin.kinematics.continuation import Continuation  # a single pose by Pinocchio needs no compiler
-
         if self.model.nq == 0:
             return "it has no movable joints"
         if coordinates not in self._solvers:
             try:
+                # a single pose by Pinocchio needs no compiler
+                from pm3dof_pin.kinematics.continuation import Continuation
+
                 solver = Continuation(self, coordinates)
                 self._require_close_by(coordinates, solver)
                 self._solvers[coordinates] = solver

@@ -10,6 +10,7 @@ from pm3dof_pin.capability.tool_capability import ToolCapability, tool_capabilit
 from pm3dof_pin.capability.transmission import drive_values
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.maps.quantity import Dimension, Evaluation, MappedRobot, Quantity
+from pm3dof_pin.maps.robot_quantities import drives_hold_tool
 from pm3dof_pin.typing import Array
 
 _AXIS = Dimension("axis", lambda mapped: TOOL_COMPONENTS)
@@ -40,10 +41,7 @@ def _wrench_feasible(evaluation: Evaluation) -> Array:
 
 
 def _has_limits(name: Literal["effort", "speed"], mapped: MappedRobot) -> bool:
-    robot = mapped.robot
-    if robot.tool_frame is None or not robot.actuated_joints:
-        return False
-    return bool(np.isfinite(drive_values(robot, name)).all())
+    return drives_hold_tool(mapped) and bool(np.isfinite(drive_values(mapped.robot, name)).all())
 
 
 CAPABILITY_QUANTITIES = (

@@ -19,7 +19,7 @@ from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.maps.quantity import Dimension, Evaluation, MappedRobot, Quantity
-from pm3dof_pin.maps.robot_quantities import has_drives_and_tool
+from pm3dof_pin.maps.robot_quantities import drives_hold_tool
 from pm3dof_pin.typing import Array
 
 _CHUNK = 8192  # poses at a time: each has a few hundred numbers of effects
@@ -84,7 +84,7 @@ _SUMS: tuple[tuple[str, KinematicSum, str], ...] = (
 
 ERROR_QUANTITIES = (
     *(
-        Quantity(name, partial(_kinematic, name=kind), "m", long_name, exists=has_drives_and_tool)
+        Quantity(name, partial(_kinematic, name=kind), "m", long_name, exists=drives_hold_tool)
         for name, kind, long_name in _SUMS
     ),
     Quantity(
@@ -92,7 +92,7 @@ ERROR_QUANTITIES = (
         lambda evaluation: _over(evaluation, ("thermal",), attrgetter("tip_rms")),
         "m",
         "tip error due to temperature, root mean square",
-        exists=has_drives_and_tool,
+        exists=drives_hold_tool,
     ),
     Quantity(
         "error_budget",
@@ -100,7 +100,7 @@ ERROR_QUANTITIES = (
         "m",
         "tip error due to each source and to all combined, root mean square",
         (Dimension("error_source", _source_names),),
-        has_drives_and_tool,
+        drives_hold_tool,
     ),
 )
 """Tool errors of robots with drives and a tool."""

@@ -150,7 +150,8 @@ def robot_space(
         low, high = np.clip(robot.range_of(coordinate), *row)
         low, high = low if np.isfinite(low) else centre - width, high if np.isfinite(high) else centre + width
         box.append((low - _AROUND * (high - low), high + _AROUND * (high - low)))
-    judged, beyond = _judged(robot, chosen, fixed, "all" if all_branches else "home"), 1 << len(limit_names(robot))
+    complete = coordinates_over(robot, chosen, fixed)
+    judged, beyond = _judged(robot, complete, "all" if all_branches else "home"), 1 << len(limit_names(robot))
 
     def of_ranges(values: Array) -> Flags:
         outside = np.any((values < ends[:, 0]) | (values > ends[:, 1]), axis=-1)
@@ -159,8 +160,6 @@ def robot_space(
     def with_ranges(values: Array) -> tuple[Flags, NDArray[np.int64]]:
         flags, branches = judged(values)
         return flags | of_ranges(values), branches
-
-    complete = coordinates_over(robot, chosen, fixed)
 
     def followed(values: Array, near: Array) -> tuple[Flags, Array]:
         flags, q, from_home = of_ranges(values), np.empty_like(near), np.isnan(near[:, 0])
@@ -212,18 +211,17 @@ def limits_over(
     robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None, branches: Branch = "home"
 ) -> Callable[[Array], Flags]:
     """Return a robot's limits over some coordinates, see :attr:`LimitSpace.broken_limits`; others at home or fixed."""
-    judged = _judged(robot, names, fixed, branches)
+    judged = _judged(robot, coordinates_over(robot, names, fixed), branches)
     return lambda values: judged(values)[0]
 
 
 def _judged(
-    robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None, which: Branch
+    robot: Robot, complete: Callable[[Array], Array], which: Branch
 ) -> Callable[[Array], tuple[Flags, NDArray[np.int64]]]:
-    """Return a robot's limits over some coordinates, and with all branches their numbers."""
-    complete = coordinates_over(robot, names, fixed)
+    """Return a robot's limits over coordinates that are completed, and with all branches their numbers."""
 
     def judged(values: Array) -> tuple[Flags, NDArray[np.int64]]:
-        rows = values.reshape(-1, len(names))
+        rows = values.reshape(-1, values.shape[-1])
         flags, branches = np.empty(len(rows), dtype=np.uint32), np.zeros(len(rows), dtype=np.int64)
         for first in range(0, len(rows), _BATCH):
             part = slice(first, first + _BATCH)

@@ -50,7 +50,7 @@ def select_quantities(names: Iterable[str], mapped: MappedRobot | None = None) -
     selected = tuple(dict.fromkeys(names))
     unknown = [name for name in selected if name not in known]
     if mapped is not None and (absent := [name for name in unknown if name in QUANTITIES]):
-        lacks = "it lacks what they need, as springs, a tool or limits of the drives"
+        lacks = "it lacks what they need, as springs, a tool, drives that determine its pose, or limits of these"
         has = ", ".join(known)
         raise InvalidValueError(mapped.robot.name, problem=f"has no {', '.join(absent)} ({lacks})", expected=has)
     if unknown or not selected:

@@ -18,6 +18,7 @@ from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
 from pm3dof_pin.elastic.quantities import ElasticQuantity
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.source_errors import ErrorSources
@@ -93,8 +94,12 @@ class MappedRobot:
         return ErrorSources(closable(declared))
 
     def _free_motions_at(self, q: Array) -> FreeMotionStiffness | None:
+        """Return the free motions at a configuration; None where they are not independent, or the tool is free."""
+        configuration = self.robot.configuration(q)
         try:
-            return free_motion_stiffness(self.elastic, self.robot.configuration(q))
+            if cartesian_compliance(self.elastic, configuration).free_directions.size:
+                return None
+            return free_motion_stiffness(self.elastic, configuration)
         except PM3DofError:
             return None
 

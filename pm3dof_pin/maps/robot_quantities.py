@@ -31,6 +31,11 @@ def has_drives_and_tool(mapped: MappedRobot) -> bool:
     return mapped.robot.tool_frame is not None and bool(mapped.robot.actuated_joints)
 
 
+def drives_hold_tool(mapped: MappedRobot) -> bool:
+    """Tell whether the robot has drives and a tool, which these determine at usual poses, if they are enough."""
+    return has_drives_and_tool(mapped) and not mapped.robot.drives_are_dependent
+
+
 def _command_unit(mapped: MappedRobot) -> str:
     """Return the units of the commands."""
     return _listed_units((command.unit, command.name) for command in mapped.robot.commands)
@@ -84,7 +89,8 @@ def _part_of(source: ElasticQuantity, part: Any = np.s_[...]) -> Callable[[Evalu
 
 def _condition_number(evaluation: Evaluation) -> Array:
     values = evaluation.elastic(CONDITIONING)
-    ratio: Array = values[..., _MODES - 1] / values[..., 0]
+    with np.errstate(divide="ignore"):
+        ratio: Array = values[..., _MODES - 1] / values[..., 0]
     return ratio
 
 
@@ -213,7 +219,7 @@ ROBOT_QUANTITIES = (
         _force_unit,
         "drive forces that hold the weight",
         (_DRIVE,),
-        has_drives_and_tool,
+        drives_hold_tool,
     ),
     Quantity(
         "drive_inertia",
@@ -221,7 +227,7 @@ ROBOT_QUANTITIES = (
         "kg, kg m, kg m^2",
         "mass matrix as seen by the drives",
         (_DRIVE, Dimension("drive_2", _DRIVE.labels)),
-        has_drives_and_tool,
+        drives_hold_tool,
     ),
     Quantity(
         "singularity_distance",

@@ -65,6 +65,8 @@ def commands_table(path: Path, robot: Robot, columns: ColumnMap | None) -> CsvTa
 
 def checked_commands(table: CsvTable, robot: Robot) -> Array:
     """Return the commands, shape=(n, number of commands) [m, rad]; refuse those far outside the joints' limits."""
+    if not robot.commands:
+        raise InvalidValueError(robot.name, problem="has no drives", expected="driven joints (--drives, drives=[...])")
     names = command_columns(robot)
     commands = table.matrix(names)
     lower, upper = np.array([robot.range_of(command) for command in robot.command_coordinates]).T

@@ -277,6 +277,11 @@ class Mechanism:
         return bool(self.closures or not all(coupling.is_linear for coupling in self.couplings))
 
     @property
+    def branching_drives(self) -> list[int]:
+        """Entries of v of the drives whose rates tell branches apart."""
+        return [int(index) for index in self.actuated_indices]
+
+    @property
     def constraint_names(self) -> tuple[str, ...]:
         """Names of the closures, then of the couplings, in the order of :attr:`LoopKinematics.rows`."""
         return (*(loop.name for loop in self.closures), *(coupling.name for coupling in self.couplings))

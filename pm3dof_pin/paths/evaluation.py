@@ -33,6 +33,7 @@ from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS, is_wrench
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.paths.bounds import DriveForces, MotionLimits, along_path, drive_limits, path_metric
 from pm3dof_pin.paths.cutting import Milling
+from pm3dof_pin.paths.drive_side import DriveSide, rates_of_redundant_drives
 from pm3dof_pin.paths.follower import Follower, Motion, with_tool_length
 from pm3dof_pin.paths.planning import BLOCK, PathPoints, TimedPoints, choose_points, in_blocks, plan_motion
 from pm3dof_pin.paths.summary import PathSummary
@@ -132,13 +133,16 @@ class PathEvaluation:
             yield self.columns
             return
         energy, before = 0.0, None
+        side = DriveSide()
         lasting = self.timed.speeds.duration
         summary = PathSummary(self.robot, self.path.lines, self._force_limits)
         every, thinned = -(-len(self) // _THINNED), []
-        for part, (columns, work) in in_blocks(self._block, self.points.blocks(), self.robot.threads):
+        for part, (columns, work, rates) in in_blocks(self._block, self.points.blocks(), self.robot.threads):
             # work has places and forces of the drives' joints
             work = work if before is None else np.concatenate([before, work], axis=1)
             self._mark_jumps(columns, work, part)
+            beyond = np.flatnonzero(side.is_other(rates))
+            columns["branch"][beyond], columns["within_limits"][beyond] = 1.0, 0.0
             steps = 0.5 * (work[1, 1:] + work[1, :-1]) * np.diff(work[0], axis=0)
             total = energy + np.cumsum(np.nan_to_num(steps.sum(axis=1)))
             columns["energy_J"] = np.append(0.0, total) if before is None else total
@@ -182,7 +186,7 @@ class PathEvaluation:
     def _drive_names(self) -> list[str]:
         return [f"u{k}" for k in range(1, len(self.robot.commands) + 1)]
 
-    def _block(self, part: slice) -> tuple[Columns, Array]:
+    def _block(self, part: slice) -> tuple[Columns, Array, Array]:
         timed, follower, robot, path = self.timed, self._follower, self.robot, self.path
         moves, shares = self.points.moves[part], self.points.shares[part]
         motion = follower.motion(moves, shares, self.points.sizes)
@@ -230,8 +234,9 @@ class PathEvaluation:
             columns |= self._elastic(poses, motions, wrenches, tool)
         columns |= self._errors(poses, wrenches)
         joints = [robot.single_joint(name).coordinate(poses.q) for name in robot.actuated_joints]
-        rates = first[:, robot.actuated_indices]
-        return columns, np.stack([np.unwrap(np.stack(joints, axis=-1), axis=0), forces, rates])
+        slopes = first[:, robot.actuated_indices]
+        work = np.stack([np.unwrap(np.stack(joints, axis=-1), axis=0), forces, slopes])
+        return columns, work, rates_of_redundant_drives(robot, poses)
 
     def _mark_jumps(self, columns: Columns, work: Array, part: slice) -> None:
         """Mark points to which an open chain gets from the point before by a jump: to another of its solutions.
@@ -420,6 +425,7 @@ def evaluate_path(robot: Robot, path: ToolPath, options: PathOptions | None = No
 
     Raises:
         UnreachablePoseError: the path sets components of the placement of the tool that the robot cannot give.
+        SingularConfigurationError: the drives do not determine the pose anywhere.
         InvalidValueError: an option is wrong.
         DescriptionError: the robot has no tool frame or no drives.
     """
@@ -427,6 +433,7 @@ def evaluate_path(robot: Robot, path: ToolPath, options: PathOptions | None = No
     require_kind("path", path, ToolPath, "read_path")
     if not robot.commands:
         raise InvalidValueError("robot", problem=f"{robot.name} has no drives", expected="actuated joints")
+    robot.require_regular_drives(from_home=False)
     return PathEvaluation(robot, path, options or PathOptions())
 
 

@@ -43,7 +43,7 @@ def checks_program(
             broken = broken + select(is_broken, 2.0**bit, 0.0)
     outputs: dict[str, Any] = {"residual": closure_residual(tree), "broken": broken}
     if task is not None and mechanism.has_branches:
-        outputs["branch"] = branch_number(tree, task, mechanism.actuated_indices.tolist())
+        outputs["branch"] = branch_number(tree, task, mechanism.branching_drives)
     if mechanism.tool_frame is not None:
         tool = tree.frame(mechanism.tool_frame)
         rows = [[*tool.rotation[i], tool.translation[i]] for i in range(3)]

@@ -11,9 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any, NamedTuple
 
-import llvmlite
 import numpy as np
-from llvmlite import binding
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, ShapeError
@@ -23,6 +21,12 @@ from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.walk import NEARLY_CLOSED, SHORTEST_LEG, STEPS, Walk
 from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Array, Mask
+
+try:
+    import llvmlite
+    from llvmlite import binding
+except ImportError as error:
+    raise ProgramError(llvm_ir.NO_COMPILER) from error
 
 _LOG = logging.getLogger(__name__)
 

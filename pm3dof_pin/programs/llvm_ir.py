@@ -17,6 +17,9 @@ from pm3dof_pin.programs.walk import Walk, acceptance_program
 HISTORY = 3
 """Number of poses before the last one that a march uses to predict the next."""
 
+NO_COMPILER = "programs are compiled by llvmlite, which is not installed: pip install llvmlite"
+"""Why there are none without it."""
+
 # arguments of the functions
 _ROWS = "ptr %workspace, ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %outputs, i64 %outputs_stride, i64 %n"
 _LINES = "ptr %workspace, ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %given, i64 %given_stride, i64 %n"

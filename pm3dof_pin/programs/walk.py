@@ -200,8 +200,7 @@ def branch_program(mechanism: Mechanism, coordinates: Task, samples: ArrayLike, 
     """Record the number of a configuration's branch, see :func:`~pm3dof_pin.programs.closing.branch_number`."""
     graph = Graph()
     tree = Tree(graph, mechanism, samples, dense=dense, in_working_axes=True)
-    drives = mechanism.actuated_indices.tolist()
-    number = branch_number(tree, coordinates, drives) if mechanism.has_branches else 0.0
+    number = branch_number(tree, coordinates, mechanism.branching_drives) if mechanism.has_branches else 0.0
     return graph.program("branch", {"branch": number})
 
 

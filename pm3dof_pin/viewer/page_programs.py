@@ -61,7 +61,7 @@ def placing_sets(robot: Robot) -> dict[str, tuple[Coordinate, ...]]:
 
 
 class PagePrograms:
-    """Everything that a page computes for a robot closed at home; None where there is no program.
+    """Everything that a page computes for a robot closed at home; None where there is no program, or no answer.
 
     - `place(q)`: placements of all joints, rotation and translation row by row, shape=(joints, 3, 4); of the tool; the
       greatest closure error; squared sine, and cosine, of each swing angle with a limit.
@@ -111,7 +111,9 @@ class PagePrograms:
 
     @cached_property
     def holding(self) -> PageProgram | None:
-        """Forces of the actuators, then the least pivot."""
+        """Forces of the actuators, then the least pivot; None also where these do not determine the pose anywhere."""
+        if self.robot.drives_are_dependent:
+            return None
         try:
             program = holding_program(self.robot, self._samples)
         except ProgramError as error:
@@ -133,7 +135,8 @@ class PagePrograms:
     @cached_property
     def _motion_and_sigmas(self) -> tuple[PageProgram | None, Vector]:
         robot = self.robot
-        for errors in self._error_parameters() if robot.tool_frame is not None else ():
+        has_motions = robot.tool_frame is not None and not robot.drives_are_dependent
+        for errors in self._error_parameters() if has_motions else ():
             try:
                 program, parameters = at_zero_errors(errors)
             except ProgramError as error:

@@ -29,6 +29,7 @@ from pm3dof_pin.measuring.export_file import ColumnMap
 from pm3dof_pin.measuring.plan_file import read_plan
 
 MICROMETRE = 1e-6
+MACHINES = Path(__file__).parents[1] / "machines"
 
 
 def _positions(path: Path, diagonals: int = 0) -> Path:
@@ -266,6 +267,20 @@ def test_planned_commands_bring_the_tool_there(test: Any, place: tuple[float, ..
         np.broadcast_to(robot.configuration(robot.home.q).tool_placement.rotation, poses.rotations.shape),
         atol=1e-9,
     )
+
+
+def test_a_tool_whose_orientation_follows_from_its_position(tmp_path: Path) -> None:
+    """A five-bar with motors at (-0.1, 0) and (0.1, 0): its elbows are 0.25 m from these and 0.35 m from the pen."""
+    robot = pm.load(MACHINES / "five_bar")
+    points, columns = planned_targets("positioning", (-0.05, 0.41, 0.0, 0.05, 0.43, 0.0), runs=2)
+    path = write_acceptance_plan(robot, points, columns, tmp_path / "plan.csv")
+    commands, _ = read_plan(path, robot)
+    angles = np.array([2.2823075170803215, 0.8592851365094715]) + commands
+    for k, side in enumerate((-0.1, 0.1)):
+        elbows = np.column_stack([side + 0.25 * np.cos(angles[:, k]), 0.25 * np.sin(angles[:, k])])
+        np.testing.assert_allclose(np.linalg.norm(elbows - points[:, :2], axis=1), 0.35, rtol=1e-9)
+    with pytest.raises(UnreachablePoseError):  # out of its plane
+        write_acceptance_plan(robot, points + np.array([0.0, 0.0, 0.01]), columns, path)
 
 
 @pytest.mark.parametrize("calibrated", [False, True])

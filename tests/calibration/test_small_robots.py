@@ -17,6 +17,7 @@ from pm3dof_pin.calibration.assembled import OUT_OF_TOLERANCE
 from pm3dof_pin.calibration.measurement_plan import plan_measurements
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.instrument import Instrument
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -97,3 +98,26 @@ def test_seven_noisy_poses_are_too_few_to_tell_a_change_in_the_middle() -> None:
     calibration = pm.calibrate(seen, errors, "lm")
     assert calibration.identification.noise_factor > 1.5
     assert any("times the noise" in warning for warning in calibration.warnings)
+
+
+def test_a_calibration_keeps_drives_and_springs_that_its_files_do_not_name(
+    tmp_path: Path, run: Callable[..., Any]
+) -> None:
+    """As --drives and --drive-stiffness name them; without, the commands would be those of other joints, or none."""
+    driven = pm.load(MACHINES / "five_bar", drives=["right_motor", "left_motor"], drive_stiffness={"right_motor": 7e3})
+    errors = closable(pm.GeometricErrors(driven))
+    generator = np.random.default_rng(3)
+    machine = pm.SimulatedMachine.random(errors, generator, everything=False)
+    commands = pm.reachable_poses(errors.robot, 40, generator).commands
+    measurements = pm.Measurements.from_poses(commands, machine.measure(commands, generator))
+    folder = pm.calibrate(measurements, errors, "lm").save(tmp_path / "calibration")
+    robot = pm.read_compensation(folder).errors.robot
+    assert robot.actuated_joints == ("right_motor", "left_motor")
+    assert [(spring["joint"], spring["stiffness"]) for spring in robot.springs] == [
+        ("left_motor", 5e3),
+        ("right_motor", 7e3),
+    ]
+    # without drives, a file of commands is refused by name
+    bare = errors.robot.replace(actuated_joints=(), commands=())
+    with pytest.raises(InvalidValueError, match="five_bar has no drives"):
+        pm.read_measurements(folder / "measurements.csv", bare)

@@ -110,6 +110,55 @@ def test_a_free_tool_has_no_conditioning(rigid_tree: Callable[..., Robot], is_sp
     assert np.isnan(evaluate(model, np.full((1, 6), 0.1), CONDITIONING, engine=engine).values).all()
 
 
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+def test_a_tool_next_to_the_centre_of_a_wrist_by_rounding_is_rigid_there(
+    rigid_tree: Callable[..., Robot], engine: Engine
+) -> None:
+    """The way there and back leaves 1e-17 m, a compliance of 1e-37 m/N, and shares of rounding."""
+    turn = pin.rpy.rpyToMatrix(0.3, -0.7, 1.1)
+    away = pin.SE3(turn, np.array([0.11, -0.07, 0.05]))
+    back = pin.SE3(np.eye(3), -turn.T @ away.translation)
+    joints = [pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ()]
+    names = ["universe", "a", "b", "c"]
+    robot = rigid_tree(
+        [
+            *((own, parent, IDENTITY, joint) for own, parent, joint in zip(names[1:], names, joints, strict=False)),
+            ("elbow", "c", away, None),
+            ("centre", "elbow", back, None),
+        ],
+        actuated_joints=["a_joint", "b_joint", "c_joint"],
+        tool_frame="centre",
+    )
+    springs = [JointSpring(f"{name}_spring", f"{name}_joint", 1e3, "N m/rad") for name in names[1:]]
+    model, q = ElasticModel(robot, springs), np.array([[0.0, 0.0, 0.0], [0.3, -0.4, 0.2]])
+    assert np.abs(robot.at(q).positions).max() > 0.0
+    felt = evaluate(model, q, AXIS_STIFFNESS, engine=engine).values
+    np.testing.assert_array_equal(felt[:, :3], np.inf)
+    np.testing.assert_allclose(felt[0, 3:], 1e3, rtol=1e-12)  # axes at right angles
+    principal = evaluate(model, q, PRINCIPAL_STIFFNESS, engine=engine).values
+    np.testing.assert_array_equal(principal[:, 0], np.inf)
+    shares = evaluate(model, q, spring_shares(model), engine=engine).values
+    assert np.isnan(shares[:, :3]).all()
+    np.testing.assert_allclose(shares[0, 3:], np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+def test_a_hexapod_that_is_free_to_turn_has_no_stiffness_there(engine: Engine) -> None:
+    """Turned by 90 degrees about its axis it is singular (E. F. Fichter, IJRR 5, 1986): one eigenvalue is zero.
+
+    The stiffness of the other motions changes little nearby, where all of it exists.
+    """
+    model = load("hexapod")
+    poses = model.rigid.solve([[0.0, 0.0, 0.135, 0.0, 0.0, angle] for angle in np.radians([90.0, 89.9])])
+    values = evaluate(model, poses, CONDITIONING, engine=engine).values
+    np.testing.assert_array_equal(values[:, 0] == 0.0, [True, False])
+    np.testing.assert_allclose(values[0, 1:], values[1, 1:], rtol=2e-2)
+    components = ("x", "y", "z", "rx", "ry", "rz")
+    free, near = evaluate(model, poses, free_stiffness(model, components), engine=engine).values
+    np.testing.assert_allclose(free, near, rtol=0.0, atol=2e-2 * np.abs(near).max())
+    np.testing.assert_allclose(np.linalg.eigvalsh(free)[0], 0.0, atol=1e-9 * np.abs(free).max())
+
+
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod", "three_rps", "delta"])
 def test_stiffness_is_the_inverse(name: str) -> None:
     model = load(name)

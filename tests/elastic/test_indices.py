@@ -92,6 +92,15 @@ def test_a_length_of_nothing_is_refused(matrices: np.ndarray) -> None:
         eigenvalues(matrices, 0.0)
 
 
+def test_where_all_axes_of_a_kind_are_rigid_the_other_kind_tells() -> None:
+    """A compliance of 1e-15 m/N beside 1 rad/(N m) is that of a spring; one of 1e-33, of 1e-17 m, is rounding."""
+    diagonals = np.array([[1e-15, 2e-15, 1e-15, 1.0, 1.0, 2.0], [1e-33, 2e-33, 0.0, 1.0, 1.0, 2.0]])
+    expected = [[1e15, 5e14, 1e15, 1.0, 1.0, 0.5], [np.inf, np.inf, np.inf, 1.0, 1.0, 0.5]]
+    np.testing.assert_allclose(axis_stiffness(diagonals, 0.3), expected, rtol=1e-12)
+    turned = np.roll(diagonals, 3, axis=1)
+    np.testing.assert_allclose(axis_stiffness(turned, 0.3), np.roll(expected, 3, axis=1), rtol=1e-12)
+
+
 def test_rigid_axes_are_judged_by_their_own_kind_at_every_pose() -> None:
     """Lateral compliances of 1e-8 m/N beside rotations of 1e-4 rad/(N m), whose rounding errors may be as large."""
     diagonals = np.tile([1e-8, 2e-8, 1e-21, 1e-4, 5e-17, 2e-4], (2, 3, 1))

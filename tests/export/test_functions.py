@@ -17,7 +17,7 @@ import pytest
 import pm3dof_pin as pm
 from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
 from pm3dof_pin.export import function_quantities, functions
 from pm3dof_pin.export.function_quantities import KINEMATICS, QUANTITIES
 from pm3dof_pin.export.functions import export_functions
@@ -220,6 +220,13 @@ def test_natural_frequencies_from_their_program(exported: Exported) -> None:
     squares = np.linalg.eigvalsh(module.vibrations(pose.coordinates))[::-1]
     wanted = natural_modes(ElasticModel(robot), pose.q, count=3).frequencies
     np.testing.assert_allclose(1.0 / (2.0 * np.pi * np.sqrt(squares[: len(wanted)])), wanted, rtol=1e-9)
+
+
+def test_a_robot_without_programs_is_told_what_answers_instead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "MOST_OPERATIONS", 10)
+    with pytest.raises(ProgramError, match=r"more than the 10 compiled: .*Robot\.solve.*engine='pinocchio'"):
+        export_functions(pm.load("three_rps"), ["commands"], "numpy", tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_page_and_the_help_name_every_quantity(run: Callable[..., Any]) -> None:

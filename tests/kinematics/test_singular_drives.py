@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,25 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from pm3dof_pin.calibration.acceptance import write_acceptance_plan
+from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.capability.tool_capability import tool_capability
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.exceptions import SingularConfigurationError
+from pm3dof_pin.dynamics.batch import actuator_forces
+from pm3dof_pin.dynamics.inverse_dynamics import inverse_dynamics
+from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix
+from pm3dof_pin.dynamics.statics import holding_forces
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.export.controller import Controller
 from pm3dof_pin.kinematics.branches import branches_of
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.quantities import select_quantities
+from pm3dof_pin.maps.quantity import MappedRobot
+from pm3dof_pin.paths.evaluation import evaluate_path
+from pm3dof_pin.paths.tool_path import read_path
 from pm3dof_pin.typing import Engine
 from pm3dof_pin.viewer.lacks import lacks_of
 from pm3dof_pin.viewer.sliders import sets_of
@@ -96,12 +109,55 @@ def test_legs_between_hexagons_that_are_similar_or_nearly_so(error: float, tmp_p
         for commands in (robot.home.commands, poses.commands):
             with pytest.raises(SingularConfigurationError, match="do not determine the pose, at home and all around"):
                 robot.forward(commands, engine=engine, on_failure="nan")
-    if error == 0.0:  # their determinant is rounding, whose sign bounds nothing
-        assert branches_of(robot).conditions == ("serial",)
+    assert branches_of(robot).conditions == ("serial",)  # the sign of a determinant that is nearly zero bounds nothing
     with pytest.raises(SingularConfigurationError, match="do not determine the pose"):
         Controller(robot)
     assert [entry["title"] for entry in sets_of(robot)] == ["Coordinates"]
     assert any("no sliders of the commands" in words for words in lacks_of(robot))
+
+
+@pytest.mark.parametrize("error", [0.0, 1e-7, 1e-5])
+def test_nothing_that_needs_drives_is_told_of_them(error: float, tmp_path: Path) -> None:
+    """Forces, rates and errors by drives that are dependent would be rounding, or a thousand times too large."""
+    robot = Robot.load(hexagons(error).write(tmp_path))
+    pose = robot.solve(robot.home_coordinates + np.array([0.01, 0.02, 0.01, 0.02, -0.03, 0.01]))
+    points = pose.transforms[None, :3, 3]
+    path = tmp_path / "path.csv"
+    path.write_text("x_m,y_m,z_m,rx_rad,ry_rad,rz_rad\n0,0,0.3,0,0,0\n0,0,0.31,0,0,0\n", encoding="utf-8")
+    errors = GeometricErrors(robot, [])
+    q = pose.configuration()
+    refused: list[Callable[[], Any]] = [
+        lambda: holding_forces(q),
+        lambda: actuator_forces(robot, pose),
+        lambda: drive_mass_matrix(q),
+        lambda: tool_capability(robot, pose, effort=1.0, speed=1.0),
+        lambda: evaluate_path(robot, read_path(robot, path)),
+        lambda: write_acceptance_plan(robot, points, {}, tmp_path / "plan.csv"),
+        lambda: Compensation(errors).compensate(pose),
+        lambda: sensitivities(errors, pose.reshape(1)),
+    ]
+    for answer in refused:
+        with pytest.raises(SingularConfigurationError, match="do not determine the pose, at home and all around"):
+            answer()
+    with pytest.raises(SingularConfigurationError):  # by whichever of two judgements comes first
+        inverse_dynamics(q, np.zeros(6), np.zeros(6))
+    mapped = MappedRobot(robot)
+    for name in ("holding_forces", "drive_inertia", "geometric_error", "force_capability"):
+        with pytest.raises(InvalidValueError, match=f"has no {name} .*drives that determine its pose"):
+            select_quantities([name], mapped)
+    assert select_quantities(["felt_stiffness", "singularity_distance", "natural_frequencies"], mapped)
+
+
+def test_true_answers_come_with_a_word_about_the_drives(run: Any, tmp_path: Path) -> None:
+    """The commands of a pose exist, and the stiffness of a machine with errors, however small."""
+    path = str(hexagons(1e-5).write(tmp_path))
+    values = ["0", "0", "0.31", "0", "0", "0"]
+    for command in ("ik", "stiffness", "modes"):
+        done = run(command, "--robot", path, *values)
+        assert done.returncode == 0
+        assert "do not determine the pose" in done.stderr
+    for command in ("statics", "capability"):
+        assert run(command, "--robot", path, *values).returncode == 1
 
 
 @pytest.mark.parametrize("engine", ENGINES)
