@@ -342,6 +342,9 @@ def _uncertainty_budget(
     parts["hysteresis"] = float(np.mean(np.einsum("nii->n", left)))
     parts["repeatability"] = 0.0 if repeated is None else min(scatter, repeated.tip_sigma**2)
     parts["unmodelled"] = scatter - parts["repeatability"]
+    if compensation.values is not None and square is not None:  # what it may have shifted
+        shifts = found.seen_map @ found.beyond.T
+        parts["unmodelled"] += float(np.sum((square @ shifts) * shifts))
     return {name: float(np.sqrt(max(value, 0.0))) for name, value in parts.items()}
 
 

@@ -154,7 +154,7 @@ def fit(
     for warning in () if quiet else warnings:
         logger.warning("%s", warning)
     used = identification if options.identifies else None
-    gain = None if used is None else Gain.from_compensation(Compensation.from_identification(used, options.eta))
+    gain = None if used is None else _gain(used, options.eta)
     compensation = compensation_from(shown, errors, options, used, gain)
     if options.identifies:
         shown = compensation.without_loads(shown)
@@ -210,7 +210,7 @@ def compensation_from(
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:
         whole = Compensation.from_identification(identification, options.eta)
-        compensation = _cautious(whole, gain or Gain.from_compensation(whole))
+        compensation = _cautious(whole, gain or _gain(identification, options.eta))
         measurements = compensation.without_loads(measurements)
     if not options.learns:
         return compensation
@@ -252,6 +252,12 @@ def _gaps(identification: Identification) -> Iterator[str]:
         )
     if identification.outliers:
         yield f"outliers, not used for learning: lines {', '.join(map(str, identification.outlier_lines))}"
+
+
+def _gain(found: Identification, eta: float) -> Gain:
+    """Return the gain given noise and tolerances: what is beyond them was found to do no more harm."""
+    known = replace(found, beyond=np.zeros_like(found.beyond))
+    return Gain.from_compensation(Compensation.from_identification(known, eta))
 
 
 def _cautious(compensation: Compensation, gain: Gain) -> Compensation:

@@ -50,6 +50,7 @@ _INDEPENDENT = 1e-2  # relative size of changes that differ from each other by m
 _FEW = 3  # steps, in which quadratic convergence is nearly at its end
 _NEAR = 1.0  # the same, below which the minimum is kept
 _SEARCHING = 10  # many steps, after which the minimum is kept however long they are: with few rows, noise has two fits
+_SMOOTH = 2.0  # times the noise: smooth effects of this size over the workspace do not stand out from it
 _BELIEVED = 4.0  # weight of the tolerances' own value, as a number of parameters
 
 
@@ -66,9 +67,12 @@ class Identification:
     #: joint covariance of p, the logarithms of stiffness and y, given noise and prior. The noise is that of the
     #: residuals if larger than the sigmas say; the prior is one standard error of k wider
     joint_covariance: Array
+    #: shifts of p, the logarithms of stiffness and y by effects that no parameter describes, as large as residuals show
+    #: beyond the noise, shape=(effects, parameters): predicted poses are as uncertain as that where nothing was seen
+    beyond: Array
     #: standard deviation of each parameter with what the data cannot tell, shape=(number of parameters,) [m, rad]:
     #: larger than :attr:`data_sigmas` by the shift from smooth unmodelled effects that would be hidden in the noise.
-    #: They falsify parameters, but not the poses predicted from these
+    #: They falsify parameters, but not what was seen of the poses predicted from these
     sigmas: Array
     prior: Prior  #: of the parameters
     measurements: Measurements  #: the measurements, in the axes of the identified base
@@ -98,15 +102,18 @@ class Identification:
         certainties = problem.certainties(fit, loss)
         # the worst of many parameters must be within its bounds too: twice the error of k
         covariance, worst = problem.covariances(certainties, (problem.prior.error, 2.0 * problem.prior.error))
-        hidden = problem.hidden_shifts(certainties, factors, covariance)
-        variances = np.diag(worst)[: len(errors)]
+        hidden = problem.shifts(certainties, _SMOOTH * factors, covariance)
+        variances = np.diag(worst) + np.sum(hidden**2, axis=0)
+        # what residuals show beyond the noise, shared by effects of all kinds, may as much be hidden in the parameters
+        beyond = np.sqrt((factors**2 - 1.0) / (1.0 + problem.measurements.commands.shape[1]))
         return cls(
             errors=errors,
             values=frozen(values),
             nuisances=problem.nuisances,
             nuisance_values=frozen(measuring),
             joint_covariance=frozen(covariance),
-            sigmas=frozen(np.sqrt(variances + hidden**2)),
+            beyond=frozen(problem.shifts(certainties, beyond, covariance)),
+            sigmas=frozen(np.sqrt(variances[: len(errors)])),
             prior=problem.prior,
             measurements=problem.measurements,
             settled=problem.settled,
@@ -157,7 +164,8 @@ class Identification:
         """
         chosen = self.seen_map
         if not chosen[len(self.errors) :].any():
-            return self.covariance
+            beyond = self.beyond[:, : len(self.errors)]
+            return np.asarray(self.covariance + beyond.T @ beyond)
         return np.asarray(chosen @ self.known_covariance @ chosen.T)
 
     @cached_property
@@ -182,7 +190,14 @@ class Identification:
 
     @property
     def known_covariance(self) -> Array:
-        """The joint covariance without infinite variances: undetermined parameters move nothing that was seen."""
+        """The joint covariance with the shifts by what is beyond the noise, and without infinite variances.
+
+        Undetermined parameters move nothing that was seen.
+        """
+        return np.asarray(self._finite_covariance + self.beyond.T @ self.beyond)
+
+    @property
+    def _finite_covariance(self) -> Array:
         return np.where(np.isfinite(self.joint_covariance), self.joint_covariance, 0.0)
 
     @property
@@ -233,7 +248,7 @@ class Identification:
 
         0 for coordinates that were not measured.
         """
-        known = self.known_covariance / np.outer(self.units, self.units)
+        known = self._finite_covariance / np.outer(self.units, self.units)
         absorbed = np.einsum("nri,ij,nrj->nr", self.rows, known, self.rows, optimize=True) / self.noise_factors**2
         return np.asarray(np.where(self.measurements.seen, np.clip(1.0 - absorbed, 0.0, 1.0), 0.0))
 

@@ -43,7 +43,6 @@ _FALSE_ALARM = 0.01  # probability of naming an outlier in a set of good measure
 _MIN_FREEDOM = 0.2  # of the measurements
 _AT_ONCE = 512  # rows, to stay in cache
 _FEW_WEIGHTED = 0.3  # of the measurements, for which those with other weights than 1 are subtracted
-_SMOOTH = 2.0  # times the noise: smooth effects of this size over the workspace do not stand out from it
 _LEVELS: Array = np.linspace(1.0 / 128.0, 127.0 / 128.0, 64)  # probabilities to average over
 
 
@@ -216,25 +215,24 @@ class Linearisation:
         covariance[unknown, unknown] = np.inf
         return [np.asarray(covariance)] * len(prior_errors)
 
-    def hidden_shifts(self, certainties: Array, factors: Array, covariance: Array) -> Array:
-        """Return the shift of parameters by effects that no residual shows, root sum of squares, shape=(parameters,).
+    def shifts(self, certainties: Array, sizes: Array, covariance: Array) -> Array:
+        """Return the shifts of all parameters by effects that no parameter describes, shape=(effects, parameters).
 
-        Each measured coordinate, of each target, may be off by :data:`_SMOOTH` times its noise, either constantly or in
-        proportion to a command (one standard deviation over the measured ones).
+        Each measured coordinate, of each target, may be off by its size, in units of its sigma, shape=(rows,), either
+        constantly or in proportion to a command (one standard deviation over the measured ones).
         """
         commands = self.measurements.commands
         spread = commands.std(axis=0)
         moving = spread > 0.0
         varying = (commands - commands.mean(axis=0))[:, moving] / spread[moving]
-        effects = _SMOOTH * np.column_stack([np.ones(len(commands)), varying])
-        certain = (certainties * factors)[:, :, None] * self.rows
+        effects = np.column_stack([np.ones(len(commands)), varying])
+        certain = (certainties * sizes)[:, :, None] * self.rows
         numbers, pulls = self.measurements.target_numbers, []
         for number in np.unique(numbers):
             own = numbers == number
             pulls.append(np.einsum("nb,ncq->bcq", effects[own], certain[own]).reshape(-1, len(self.units)))
-        known = np.where(np.isfinite(covariance), covariance, 0.0)[: len(self.errors)]
-        shifts = (np.concatenate(pulls) / self.units) @ known.T
-        return np.asarray(np.sqrt(np.sum(shifts**2, axis=0)))
+        known = np.where(np.isfinite(covariance), covariance, 0.0)
+        return np.asarray((np.concatenate(pulls) / self.units) @ known)
 
     def _used(self, factors: Array) -> Array:
         """Return the degrees of freedom that the parameters use up in each kind of coordinate, given noise factors."""

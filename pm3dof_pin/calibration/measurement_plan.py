@@ -221,7 +221,7 @@ def plan_measurements(
         )
     choices = touching_poses(drawn, instrument)
     choices = _declared(choices) if among is None else choices
-    spacing = Spacing(choices, min_distance, touching=instrument.stops)
+    spacing = Spacing(choices, min_distance, confined=instrument.confines)
     spacing.draw(np.arange(len(choices)), poses or 1, np.random.default_rng(seed))  # before work
     found, near_singular, sizes = sensitivities(errors, choices), 0, np.zeros(len(choices))
     if among is None:

@@ -201,7 +201,7 @@ class PlanningProblem:
         if len(effects) > effects.shape[1]:
             effects = np.asarray(np.linalg.qr(effects, mode="r"))  # of the same squares
         self._effects, self._tip = effects, effects.T @ effects
-        self._spacing = Spacing(candidates, min_distance, touching=self.instrument.stops)
+        self._spacing = Spacing(candidates, min_distance, confined=self.instrument.confines)
         self._exchanges: dict[tuple[type[Criterion], tuple[int, ...]], Indices] = {}
 
     @cached_property

@@ -46,18 +46,18 @@ def _too_many(count: int, most: int, distance: float) -> InvalidValueError:
 class Spacing:
     """Poses to choose from, and how far from each other those chosen must be.
 
-    Ranges are those of the commands, or, if the poses touch something, those that these poses have of it.
+    Ranges are those of the commands, or, if an instrument confines the poses, those that these poses have of it.
 
     Raises:
         InvalidValueError: the distance is negative.
     """
 
-    def __init__(self, poses: Poses, distance: float = MIN_DISTANCE, *, touching: bool = False) -> None:
+    def __init__(self, poses: Poses, distance: float = MIN_DISTANCE, *, confined: bool = False) -> None:
         if not distance >= 0.0:
             raise InvalidValueError("min_distance", distance, "a non-negative distance")
         lower, upper = coordinate_ranges(poses.robot, poses.robot.command_coordinates)
         ranges = upper - lower
-        if touching and len(poses):
+        if confined and len(poses):
             taken = np.ptp(poses.commands, axis=0)
             ranges = np.where(taken > 0.0, np.minimum(ranges, taken), ranges)
         self._places = poses.commands / ranges / np.sqrt(len(lower))

@@ -6,11 +6,15 @@ Going through all parameters in an order of preference, each one is kept that mo
 before do not. Their number is the rank of the sensitivities over the workspace, whatever the order, except for nearly
 ineffective ones; for a serial arm with full poses it is 4 per revolute and 2 per prismatic joint, plus 6 (B. Mooring,
 Z. Roth and M. Driels, Fundamentals of Manipulator Calibration, 1991).
+
+A parameter that is kept stands for those that are not: of the four ends of a pair of rods only the differences move the
+tool, and one of them, known to 0.1 mm as they all are, has to be as wide as all four, 0.2 mm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -38,6 +42,7 @@ _CLOSING = 20  # number of poses at which the loops must close
 _MIN_POSES = 60
 _DISTINCT = (0.1, 1e-2, 1e-3, 1e-8)  # independent fraction of an effect: more distinct ones go first
 _ALIGNED = 0.99
+_WIDER = 1.05  # times a tolerance: less is not worth a class of its own
 
 Kind = Literal["zero of a drive", "length", "position", "axis of a drive", "direction", "tool"]
 _PREFERENCE: tuple[Kind, ...] = ("zero of a drive", "length", "position", "axis of a drive", "direction", "tool")
@@ -54,7 +59,8 @@ def minimal_parameters(
     """Return the smallest set of parameters with the same effect on the tool as all of them.
 
     Preferred are, in this order, the zeros of the drives, lengths (from one place to the next), other positions, the
-    axes of the drives, other directions, the tool; but of nearly redundant parameters, the more distinct one.
+    axes of the drives, other directions, the tool; but of nearly redundant parameters, the more distinct one. The
+    tolerances of those left out are counted in those kept, which then have classes of their own: "legs_140_um".
 
     Example:
         >>> import numpy as np
@@ -69,7 +75,7 @@ def minimal_parameters(
     Args:
         errors: the candidates, with their tolerances; those with which the loops cannot close are left out.
         poses: poses of the robot as described, over its whole workspace; see :func:`poses_needed`.
-        first: names of parameters preferred to all others.
+        first: names of parameters preferred to all others; their tolerances are declared, and kept.
         least_effect: parameters that add less than this fraction of the greatest effect are left out, such as an offset
             between the crossing axes of a joint that hardly rotates; 0 leaves out only those without any effect.
 
@@ -86,8 +92,23 @@ def minimal_parameters(
     effects = _effects(fitting, poses)
     least = max(least_effect, SOLVED) * np.linalg.norm(effects, axis=0).max(initial=0.0)
     rounds = [(preferred, _DISTINCT[-1], 0.0), *((others, distinct, least) for distinct in _DISTINCT)]
-    chosen = _independent(effects, rounds)
-    return fitting.select(name for k, name in enumerate(fitting.names) if k in chosen)
+    chosen = sorted(_independent(effects, rounds))
+    # each of all parameters, one tolerance off, in tolerances of those chosen that do the same
+    wider = np.linalg.norm(np.linalg.lstsq(effects[:, chosen], effects, rcond=None)[0], axis=1)
+    kept = [
+        parameter if parameter.name in preferred_names else _widened(parameter, factor)
+        for parameter, factor in zip((fitting.parameters[k] for k in chosen), wider.tolist(), strict=True)
+    ]
+    return GeometricErrors(fitting.robot, kept, fixed_bearings=fitting.fixed_bearings, file=fitting.file)
+
+
+def _widened(parameter: GeometricParameter | TiedParameter, factor: float) -> GeometricParameter | TiedParameter:
+    """Return a parameter with a wider tolerance, to two digits, and a class named after it."""
+    if factor < _WIDER:
+        return parameter
+    tolerance = float(f"{factor * parameter.tolerance:.2g}")
+    unit = "um" if parameter.unit == "m" else "urad"
+    return replace(parameter, group=f"{parameter.group}_{1e6 * tolerance:.6g}_{unit}", tolerance=tolerance)
 
 
 def error_entries(errors: GeometricErrors) -> tuple[ErrorEntry, ...]:

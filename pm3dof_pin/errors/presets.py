@@ -63,8 +63,7 @@ def preset(
     if name in ("complete", "dh"):
         if name == "dh" and robot.closures:
             raise InvalidValueError("preset", name, f"a serial arm; {robot.name} has closed loops: take complete")
-        found = with_free_zeros(_complete(robot))
-        return error_entries(found if process is None else with_process(found, process)), ()
+        return error_entries(with_free_zeros(_complete(robot, process))), ()
     return (), _firmware(robot, int(name[-1]))
 
 
@@ -91,10 +90,9 @@ def nearly_free(errors: GeometricErrors) -> Mask:
     )
 
 
-def _complete(robot: Robot) -> GeometricErrors:
-    return minimal_parameters(
-        GeometricErrors(robot), reachable_poses(robot, poses_needed(robot), np.random.default_rng(0))
-    )
+def _complete(robot: Robot, process: Process | None) -> GeometricErrors:
+    errors = GeometricErrors(robot) if process is None else with_process(GeometricErrors(robot), process)
+    return minimal_parameters(errors, reachable_poses(robot, poses_needed(robot), np.random.default_rng(0)))
 
 
 def _zeros(robot: Robot) -> tuple[ErrorEntry, ...]:

@@ -119,12 +119,12 @@ class ColumnMap:
             expected = f"expected some of {', '.join([*names, 'profile'])}, not {', '.join(wrong)}"
             raise DescriptionError(path, "columns", " ".join(expected.split()))
         for key, value in data.items():
-            entries = (
-                [*value, *(value.values() if isinstance(value, dict) else ())] if key in ("columns", "header") else []
-            )
-            if type(value) is not kinds.get(key, str) or any(not isinstance(entry, str) for entry in entries):
-                of = " of words" if entries or key in ("columns", "header") else ""
-                raise DescriptionError(path, key, f"expected a {kinds.get(key, str).__name__}{of}, not {value!r}")
+            kind, words = kinds.get(key, str), list[object]()
+            if isinstance(value, dict | list):
+                words = [*value, *(value.values() if isinstance(value, dict) else ())]
+            if type(value) is not kind or any(not isinstance(word, str) for word in words):
+                of = " of words" if kind in (dict, list) else ""
+                raise DescriptionError(path, key, f"expected a {kind.__name__}{of}, not {value!r}")
         profile = data.pop("profile", None)
         if profile is not None and profile not in PROFILES:
             raise DescriptionError(path, "profile", f"expected one of {', '.join(PROFILES)}, not {profile}")

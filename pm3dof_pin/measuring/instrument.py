@@ -95,6 +95,11 @@ class Instrument:
         return full if self.measured == "pose" else full[:3]
 
     @property
+    def confines(self) -> bool:
+        """Whether it sees some poses only: those that touch, are at one distance, or where joints are locked."""
+        return bool(self.locked) or any(each.touch is not None for each in self.placed)
+
+    @property
     def covariance(self) -> Array:
         """Covariance of a measured pose [translation; rotation vector], shape=(6, 6) [m^2, rad^2]."""
         return np.diag(np.repeat([self.position_sigma, self.angle_sigma], 3) ** 2)

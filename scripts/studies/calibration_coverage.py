@@ -302,11 +302,13 @@ def drivable(robot: str, count: int, generator: np.random.Generator) -> pm.Poses
 
 
 @cache
-def stations(robot: str, number: int, count: int) -> tuple[Station, Station]:
-    """Return poses to measure and others for evaluation."""
+def stations(robot: str, number: int, count: int) -> tuple[Station, Station, Station]:
+    """Return poses to measure, others for evaluation, and others over which a correction must do no harm."""
     errors, generator = described(robot), np.random.default_rng([number, count])
-    first, second = (Station(errors, pm.reachable_poses(errors.robot, n, generator)) for n in (count, TESTS))
-    return first, second
+    first, second, third = (
+        Station(errors, pm.reachable_poses(errors.robot, n, generator)) for n in (count, TESTS, TESTS)
+    )
+    return first, second, third
 
 
 def one_linear(case: Case, count: int) -> dict[str, object]:
@@ -314,13 +316,13 @@ def one_linear(case: Case, count: int) -> dict[str, object]:
     robot, seed, richness, setup, _ = case
     machine = machine_of(robot, seed, richness)[0]
     generator = np.random.default_rng([seed, SETUPS.index(setup), int(10 * richness)])
-    station, tests = stations(robot, seed % _STATIONS, count)
+    station, tests, work = stations(robot, seed % _STATIONS, count)
     rows, truly = measured(machine, station.poses.commands, setup, generator, station.poses)
     commands = rows.commands[np.unique(rows.pose_numbers, return_index=True)[1]]
     if not np.array_equal(commands, station.poses.commands):  # where this machine was stopped by a touch
         station = Station(station.errors, station.poses.robot.forward(commands))
     found = identified(station, rows)
-    correction = Correction.of(station, found)
+    correction = Correction.of(work, found)
     scatter, excess, interval = cross_validated(station, correction)
     base, tool = placed(found, setup, truly)
     sides = generator.choice([-1.0, 1.0], tests.poses.commands.shape)

@@ -117,7 +117,7 @@ class Correction:
 
     @classmethod
     def of(cls, station: Station, found: Identification) -> Correction:
-        """Return the correction that does no harm over the poses of a station."""
+        """Return the correction that does no harm over the poses of a station, where the machine works."""
         covariance, count = found.seen_covariance, len(station.errors)
         effects, control = station.effects[:, :, : len(covariance)], station.control
         corrected = control @ (np.linalg.pinv(control) @ effects[:, :, :count])

@@ -37,7 +37,7 @@ def test_the_place_of_the_instrument_counts_with_the_machine(kind: str) -> None:
     promised = np.einsum("nii->n", held.covariances - noise)
     drawn = []
     mean = np.concatenate([found.values, found.nuisance_values])
-    for values in generator.multivariate_normal(mean, found.joint_covariance, DRAWS, method="cholesky"):
+    for values in generator.multivariate_normal(mean, found.known_covariance, DRAWS, method="cholesky"):
         machine, setup = np.split(values, [len(errors)])
         linear = replace(found, values=machine, nuisance_values=setup).linearised(hidden)
         drawn.append(seen_errors(linear.settled, linear.poses).errors - held.missed)

@@ -273,6 +273,35 @@ def test_smooth_effects_hidden_in_the_noise_shift_parameters_by_less_than_a_sigm
         assert np.abs((again.values - found.values) / found.sigmas).max() < 1.0
 
 
+def test_what_is_beyond_the_noise_may_have_shifted_the_parameters(
+    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses
+) -> None:
+    """By as much as a refit to rows that are off by it, and only if there is something beyond the noise."""
+    poses = tripod_nominal[:40]
+    quiet = simulated(tripod_errors, truth, poses)
+    x = np.tile(np.eye(3)[0], (len(poses), 1))
+    u2 = poses.commands[:, 1]
+    varying = ((u2 - u2.mean()) / u2.std())[:, None]
+    found = identify(quiet, tripod_errors, prior=1.0, loss="squares")
+    assert not found.beyond.any()
+    # both errors at once: the residuals of positions and of angles show them with factors of their own
+    louder = found.noise_factors * np.repeat([1.25, 1.0], 3)
+    shared = np.sqrt((louder**2 - 1.0) / 4.0)
+    problem = found.linearised(quiet)
+    shifts = problem.shifts(found.certainties, shared, found.covariance).reshape(4, 6, -1)
+    for own, by in ((shifts[0, 0], np.ones((len(x), 1))), (shifts[2, 0], varying)):
+        off = replace(quiet, positions=quiet.positions + 0.375 * quiet.sigmas[:, :1] * by * x)
+        again = identify(off, tripod_errors, prior=1.0, loss="squares")
+        np.testing.assert_allclose(again.values - found.values, own, rtol=0.0, atol=1e-2 * np.abs(own).max())
+    loud = simulated(tripod_errors, truth, poses, 1)
+    noisy = identify(replace(loud, sigmas=0.5 * loud.sigmas), tripod_errors, prior=1.0)
+    excess = np.sqrt((noisy.noise_factors**2 - 1.0) / 4.0)
+    expected = noisy.linearised(noisy.measurements).shifts(noisy.certainties, excess, noisy.joint_covariance)
+    np.testing.assert_allclose(noisy.beyond, expected, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(noisy.seen_covariance - noisy.covariance, expected.T @ expected, rtol=1e-6, atol=1e-18)
+    assert noisy.noise_factor > 1.7
+
+
 def test_a_wider_prior_widens_what_was_not_measured_of_the_parts(tripod_nominal: Poses) -> None:
     """By the law of total variance: machines of random k between fits of one k, and the effect of noise on each.
 

@@ -170,6 +170,20 @@ def test_planar_machines_touch_planes_across_their_own(machine: str, instrument:
     assert np.isfinite(calibrate(again, errors, "lm", on_refusal="keep").identification.values).all()
 
 
+def test_poses_at_one_distance_keep_apart_within_the_ranges_that_they_have() -> None:
+    """All round a circle of 50 mm: in parts of the commands' ranges there, an ellipse with room for two dozen poses."""
+    errors = closable(GeometricErrors.load(MACHINES / "five_bar"))
+    centre = (0.0, 0.41, 0.0)
+    plan = plan_measurements(
+        errors, 12, instrument="ballbar", centres=(centre,), length=0.05, candidates=300, machines=2
+    )
+    np.testing.assert_allclose(np.linalg.norm(plan.poses.positions - centre, axis=1), 0.05, rtol=0.0, atol=1e-8)
+    taken = np.ptp(plan.poses.commands, axis=0)
+    for k, commands in enumerate(plan.poses.commands):
+        others = np.delete(plan.poses.commands, k, axis=0)
+        assert np.sqrt(np.mean(((others - commands) / taken) ** 2, axis=1)).min() > 0.05
+
+
 def test_poses_that_cannot_keep_apart_are_refused_before_any_is_sought(
     errors: GeometricErrors, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pm3dof_pin.calibration import caution
 from pm3dof_pin.calibration.calibrate import calibrate
 from pm3dof_pin.calibration.caution import HARM, Gain
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.expectation import Expectation, Systematic
 from pm3dof_pin.calibration.fit import Fit, Options, fit
+from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.planning import order_with_references
 from pm3dof_pin.calibration.refusals import refusals
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -26,8 +28,11 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.instruments.table import placed_instrument
 from pm3dof_pin.measuring.measurement_file import write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.observation import touching_poses
+from pm3dof_pin.simulation.worlds import World
 
 REPEATS = 5
 SCATTER = 12e-6
@@ -179,6 +184,25 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     assert 0.1 < found.part_corrected < 0.95
     assert not any("worse than uncorrected ones" in reason for reason in refusals(found, None))
     assert fit(measured, tripod_errors, Options("lm")).chance_of_harm < 1e-6
+
+
+@pytest.mark.parametrize(("seed", "most"), [(1, 0.05), (5, 0.025)])
+def test_a_correction_does_as_little_harm_over_other_poses(
+    seed: int, most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The little that touches of a line allow is judged by enough poses to hold over twelve thousand others."""
+    errors, generator = GeometricErrors.load("three_rps"), np.random.default_rng(seed)
+    machine = World.random("geometry", errors, generator)
+    poses = reachable_poses(errors.robot, 24, generator)
+    instrument = placed_instrument("line", poses, point=(0.12, 0.0, 0.01))
+    measured = machine.measure(touching_poses(poses, instrument).commands, generator, instrument)
+    whole = Compensation.from_identification(identify(measured, errors, prior=1.0))
+    values = Gain.from_compensation(whole).sure_values()
+    monkeypatch.setattr(caution, "_POSES", 12_000)
+    monkeypatch.setattr(
+        caution, "reachable_poses", lambda robot, count, _: reachable_poses(robot, count, np.random.default_rng(98))
+    )
+    assert Gain.from_compensation(whole).chance_of_harm(values) < most
 
 
 def test_commands_of_few_drives_may_increase_what_is_seen() -> None:

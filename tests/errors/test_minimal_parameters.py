@@ -48,6 +48,7 @@ def test_the_files_of_robots_are_complete_and_without_redundancy(
 ) -> None:
     found = minimal_parameters(everything, poses, first=declared.names)
     assert found.names == declared.names
+    np.testing.assert_array_equal(found.tolerances, declared.tolerances)  # as declared, whatever they stand for
 
 
 def test_what_is_left_out_does_what_the_others_do(declared: GeometricErrors, poses: Poses) -> None:
@@ -79,6 +80,34 @@ def test_a_ur5_has_4r_plus_6(serial_arm: Robot) -> None:
     zeros = {f"{joint}.r{axis}" for joint, axis in zip(serial_arm.actuated_joints, _axes(serial_arm), strict=True)}
     kept = zeros.intersection(found.names)
     assert len(kept) == 6, "zeros of the drives come first"
+
+
+def test_what_is_left_out_counts_in_what_is_kept(serial_arm: Robot) -> None:
+    """Offsets along three parallel axes and up to the next are one of twice 0.1 mm; the poses scatter as with all."""
+    poses = serial_arm.forward(np.random.default_rng(0).uniform(-2.0, 2.0, (60, 6)))
+    everything = GeometricErrors(serial_arm)
+    found = minimal_parameters(everything, poses)
+    assert dict(zip(found.names, found.tolerances, strict=True))["shoulder_lift_joint.ty"] == 2e-4
+    assert {p.group for p in found.parameters if p.tolerance == 2e-4} == {"tool_chain_200_um"}
+    of_all, of_found, narrow = (
+        np.linalg.norm(_by_differences(errors, poses[:20]))
+        for errors in (everything, found, everything.select(found.names))
+    )
+    assert narrow < 0.94 * of_all < 0.95 * of_found < 0.98 * of_all
+
+
+def test_a_joint_of_a_pair_of_rods_is_as_wide_as_its_four() -> None:
+    """Each of them moves the platform as the left one on the carriage, some with others: the root of four."""
+    errors = GeometricErrors.load("linear_delta")
+    poses = reachable_poses(errors.robot, 12, np.random.default_rng(3))
+    places = ("rod2_left_first_joint", "rod2_right_first_joint", "B2_left", "B2_right")
+    ends = GeometricErrors(errors.robot).select(f"{place}.t{axis}" for place in places for axis in "xyz")
+    shown = _by_differences(errors, poses) / errors.tolerances
+    shares = np.linalg.lstsq(shown, _by_differences(ends, poses), rcond=1e-10)[0]
+    for axis in "xz":
+        own = errors.names.index(f"{places[0]}.t{axis}")
+        assert np.linalg.norm(shares[own]) == pytest.approx(2e-4, rel=0.02)
+        assert errors.tolerances[own] == 2e-4
 
 
 def _axes(arm: Robot) -> list[str]:

@@ -321,6 +321,8 @@ def test_a_map_says_the_rest(
         ("angles: xyz", "angles are xyz|angles = xyz|one of fixed xyz"),
         ("columns: [x_m]", "columns: expected a dict of words"),
         ("columns: {X: 3}", "columns: expected a dict of words"),
+        ("columns:", "columns: expected a dict of words, not None"),
+        ("header: 5", "header: expected a list of words, not 5"),
         ("skip: -1", "number of lines"),
         ("skip: two", "expected a int|expected an int"),
         ("encoding: no-such-code", "one that Python knows"),
