@@ -14,6 +14,7 @@ from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, JointSpring
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.singular_values import svd
 from pm3dof_pin.tolerances import SOLVED
 from pm3dof_pin.typing import Indices, Matrix, Vector
 
@@ -228,7 +229,7 @@ class LoadedState:
         count, springs = self.basis.shape[1], self.motions.elastic.shape[1]
         whole = self.basis.T @ self.hessian @ self.basis
         both = np.vstack([whole[:, springs:], whole[springs:].T])
-        values, right = np.linalg.svd(both)[1:] if both.size else (np.zeros(0), np.eye(count - springs))
+        values, right = svd(both)[1:] if both.size else (np.zeros(0), np.eye(count - springs))
         rank = int(np.count_nonzero(values > SOLVED * max(1.0, np.abs(whole).max())))
         bearing, idle = np.zeros((count, springs + rank)), np.zeros((count, count - springs - rank))
         bearing[:springs, :springs] = np.eye(springs)

@@ -24,6 +24,7 @@ from pm3dof_pin.arrays import frozen
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, RankDecision
 from pm3dof_pin.mechanism.configuration import Configuration, require_assembled
+from pm3dof_pin.singular_values import svd
 from pm3dof_pin.typing import Matrix
 
 
@@ -107,7 +108,7 @@ def _decompose(matrix: Matrix, threshold: float) -> tuple[Matrix, Matrix, RankDe
     if not matrix.size:
         rows, columns = matrix.shape
         return np.eye(rows), np.eye(columns), RankDecision.from_singular_values(np.zeros(0), threshold)
-    left, values, right = np.linalg.svd(matrix)
+    left, values, right = svd(matrix)
     return left, right.T, RankDecision.from_singular_values(values, threshold)
 
 

@@ -13,7 +13,7 @@ from pm3dof_pin.kinematics.branches import samples_near_home
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt, zeros
-from pm3dof_pin.programs.graph import Graph, select
+from pm3dof_pin.programs.graph import Graph, less, select
 from pm3dof_pin.programs.joints import Transform, placement_of
 from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.motion_equations import joint_columns
@@ -49,7 +49,7 @@ def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Ma
     """
     at_zero = bool(np.isin(local_twists, (0.0, 1.0, -1.0)).all())
     key = _key("sensitivities", robot, errors, at_zero)
-    compiled = cache.known(key, lambda: _traced(robot, errors, local_twists, _apart, at_zero=at_zero))
+    compiled = cache.known(key, lambda: _traced(robot, errors, local_twists, at_zero=at_zero))
     values, sound = compiled.with_doubt(q, _parameters(robot, compiled.program, local_twists))
     places = compiled.program.slices
     by_errors, by_drives = (values[:, places[name]].reshape(len(q), 6, -1) for name in ("errors", "drives"))
@@ -64,8 +64,11 @@ def at_zero_errors(errors: GeometricErrors) -> tuple[Program, Vector]:
     Raises:
         ProgramError: see :func:`evaluated`.
     """
-    compiled, parameters = reduced("sensitivities", errors, _apart, {})
-    return compiled.program, parameters
+    _require_places(errors)
+    robot, twists = errors.robot, errors.local_twists(errors.zeros)
+    key = _key("sensitivities", robot, errors, at_zero=True)
+    program = cache.known(key, lambda: _traced(robot, errors, twists, at_zero=True)).program
+    return program, _parameters(robot, program, twists)
 
 
 def reduced(
@@ -80,11 +83,9 @@ def reduced(
         ProgramError: see :func:`evaluated`.
     """
     _require_places(errors)
-    robot, twists = errors.robot, errors.local_twists(errors.zeros)
-    compiled = cache.known(
-        _key(name, robot, errors, at_zero=True), lambda: _traced(robot, errors, twists, reduce, at_zero=True, name=name)
-    )
-    return compiled, _parameters(robot, compiled.program, twists, numbers)
+    robot = errors.robot
+    compiled = cache.known(_key(name, robot, errors, at_zero=True), lambda: _reduced(name, errors, reduce))
+    return compiled, geometry.values(robot, compiled.program.parameters, numbers)
 
 
 def _require_places(errors: GeometricErrors) -> None:
@@ -92,18 +93,22 @@ def _require_places(errors: GeometricErrors) -> None:
         raise ProgramError(f"{errors.robot.name}: no program for tied parameters: they have several places")
 
 
-def _apart(motions: Motions) -> Outputs:
-    return {"errors": motions.errors, "drives": motions.drives}
+def _reduced(name: str, errors: GeometricErrors, reduce: Callable[[Motions], Outputs]) -> Program:
+    """Record a reduction of the motions, whose own program is recorded once for all of these."""
+    program, parameters = at_zero_errors(errors)
+    graph, doubt = Graph(), Doubt()
+    found = graph.again(program, samples_near_home(errors.robot), parameters)
+    outputs = reduce(Motions(graph, found["errors"], found["drives"], doubt))
+    sound = less(0.5, found["sound"].item()) & doubt.is_none(found["sound"])
+    return graph.program(name, {**outputs, "sound": select(sound, 1.0, 0.0)})
 
 
 def _traced(
     robot: Robot,
     errors: GeometricErrors,
     local_twists: Matrix,
-    reduce: Callable[[Motions], Outputs],
     *,
     at_zero: bool,
-    name: str = "sensitivities",
 ) -> Program:
     poses = samples_near_home(robot)
     verify(robot, poses)
@@ -125,9 +130,8 @@ def _traced(
         shared=len(robot.placing_drives) < len(driven),
     )
     by_errors, by_drives = map(tree.turned_to_world, (by_errors[:, np.argsort(order)], by_drives))
-    outputs = reduce(Motions(graph, by_errors, by_drives, doubt))
-    sound = doubt.is_none(np.hstack([by_errors, by_drives]))
-    return graph.program(name, {**outputs, "sound": select(sound, 1.0, 0.0)})
+    sound = select(doubt.is_none(np.hstack([by_errors, by_drives])), 1.0, 0.0)
+    return graph.program("sensitivities", {"errors": by_errors, "drives": by_drives, "sound": sound})
 
 
 def _displacements(
@@ -172,11 +176,9 @@ def _name(number: int, entry: int) -> str:
     return f"error/{number}/{entry}"
 
 
-def _parameters(
-    robot: Robot, program: Program, local_twists: Matrix, numbers: Mapping[str, float] | None = None
-) -> Array:
+def _parameters(robot: Robot, program: Program, local_twists: Matrix) -> Array:
     twists = {_name(k, i): float(twist) for (i, k), twist in np.ndenumerate(local_twists)}
-    return geometry.values(robot, program.parameters, twists | dict(numbers or {}))
+    return geometry.values(robot, program.parameters, twists)
 
 
 def _key(name: str, robot: Robot, errors: GeometricErrors, at_zero: bool) -> str:

@@ -107,7 +107,8 @@ class Controller:
 
     Raises:
         ProgramError: there is no program for the robot, or it disagrees with Pinocchio.
-        InvalidValueError: the robot has no drives, or its learned correction does not fit a table.
+        InvalidValueError: the robot has no drives, or more independent ones than coordinates, or its learned correction
+            does not fit a table.
         ConvergenceError: the loops do not close at home.
         SingularConfigurationError: several branches meet there, or the drives do not determine the pose.
     """
@@ -123,11 +124,18 @@ class Controller:
             variants["calibrated"] = robot
         widest = variants.get("calibrated", robot)
         source = program_source(robot)
+        samples, dense = source.samples, calibrated is not None
+        count, given = len(robot.placing_drives), len(robot.coordinates)
+        if given < count:  # said before the programs of the loops are compiled
+            raise InvalidValueError(
+                robot.name,
+                problem=f"has {count} independent drives, which {given} coordinates do not determine",
+                expected=f"{count} coordinates, such as further joints of the arm or the legs",
+            )
         self.inverse, self.forward = (
             source.printable_walk(widest, Task.from_coordinates(way))[0]
             for way in (robot.coordinates, self.robot.placing_commands)
         )
-        samples, dense = source.samples, calibrated is not None
         groups = {"commands": robot.command_coordinates, "coordinates": robot.coordinates}
         rates = [motion_rates(robot, name, name) for name in groups]
         assert self.inverse.branch is not None

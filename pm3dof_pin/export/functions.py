@@ -76,18 +76,17 @@ def export_functions(robot: Robot, of: Sequence[str], to: Target, folder: Path |
     require_choice("to", to, Target)
     described: dict[str, Described] = {}
     names = list(dict.fromkeys(of))
-    controller = _controller(robot) if names == ["all"] else None  # what has none is refused before long work
-    if names == ["all"]:
-        described = dict(all_quantities(robot))
-        names = [*(name for name in KINEMATICS if name != "transform" or robot.tool_frame is not None), *described]
     if not names:
         raise InvalidValueError("of", "none", "at least one quantity")
     if robot.tool_frame is None and "transform" in names:
         raise InvalidValueError(robot.name, problem="has no tool frame", expected="one for transform")
+    controller = _controller(robot)  # what has none is refused before long work
+    if names == ["all"]:
+        described = dict(all_quantities(robot))
+        names = [*(name for name in KINEMATICS if name != "transform" or robot.tool_frame is not None), *described]
     described |= {name: describe_quantity(robot, name) for name in names if name not in (*KINEMATICS, *described)}
     if invalid := [name for name in described if not name.isidentifier()]:
         raise InvalidValueError("of", invalid[0], "a quantity that can be the name of a function")
-    controller = controller or _controller(robot)
     if to == "c":
         files = c_files(controller)
         if described:

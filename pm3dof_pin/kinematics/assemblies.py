@@ -24,6 +24,7 @@ from pm3dof_pin.typing import Vector
 _DISTANCES = (0.1, 0.3, 1.0, 2.0, 3.0)  # of random starts from home [rad, characteristic lengths]
 _STARTS = 24  # at each distance
 _TRIAL_STARTS = 6  # at each distance, of a trial
+_MANY_JOINTS = 100  # from which a start takes tenths of a second, and there are as many as in a trial
 _LISTED = 6  # open loops at most in a message
 _MAX_TRIED = 8  # candidates of a branch, until one is regular
 _WELL = 0.3  # of the best candidate's distance from singular configurations
@@ -63,6 +64,11 @@ def closing_trial(robot: PlacedMechanism) -> ClosingTrial:
     return _trial(robot, list(_ends(robot, _TRIAL_STARTS)))
 
 
+def _starts(robot: PlacedMechanism) -> int:
+    """Return how many random starts there are at each distance."""
+    return _STARTS if robot.model.nv <= _MANY_JOINTS else _TRIAL_STARTS
+
+
 def _ends(robot: PlacedMechanism, count: int) -> Iterator[Assembly]:
     """Close the loops from random starts, so many at each distance from the described home."""
     generator, model = np.random.default_rng(0), robot.model
@@ -77,7 +83,7 @@ def _ends_within(robot: PlacedMechanism) -> Iterator[Assembly]:
     generator = np.random.default_rng(0)
     lower, upper, home = robot.lower_limits, robot.upper_limits, robot.described_home.q
     limited = np.isfinite(lower) & np.isfinite(upper)
-    for _ in range(len(_DISTANCES) * _STARTS):
+    for _ in range(len(_DISTANCES) * _starts(robot)):
         q = np.array(home)
         q[limited] = generator.uniform(lower[limited], upper[limited])
         yield assemble(robot, q)
@@ -103,7 +109,7 @@ def assembled_homes(robot: PlacedMechanism) -> list[AssembledHome]:
     Raises:
         ConvergenceError: no closed regular configuration was found; the message says which loops stay open.
     """
-    described, ends = robot.described_home, list(_ends(robot, _STARTS))
+    described, ends = robot.described_home, list(_ends(robot, _starts(robot)))
     found = [_candidate(robot, described, end.configuration) for end in ends if end.converged]
     if not any(home.within_limits for home in found):
         inside = [_candidate(robot, described, end.configuration) for end in _ends_within(robot) if end.converged]

@@ -15,6 +15,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.tool_components import angle_rates, rotation_of_angles, tool_components
+from pm3dof_pin.singular_values import svd
 from pm3dof_pin.tolerances import CLOSED
 from pm3dof_pin.typing import Indices, Matrix, Vector
 
@@ -44,7 +45,7 @@ class Assembly:
     @cached_property
     def factors(self) -> tuple[Matrix, Vector, Matrix]:
         """The singular value decomposition of the Jacobian, U, s, V^T."""
-        return np.linalg.svd(self.jacobian, full_matrices=False)
+        return svd(self.jacobian, full_matrices=False)
 
 
 def assemble(
@@ -103,7 +104,7 @@ class _Point:
     @cached_property
     def factors(self) -> tuple[Vector, Vector, Matrix]:
         """The error in the left singular directions, the singular values above noise, and the right directions."""
-        left, values, right = np.linalg.svd(self.jacobian, full_matrices=False)
+        left, values, right = svd(self.jacobian, full_matrices=False)
         noise = _ROUNDING * max(self.jacobian.shape, default=0) * values.max(initial=0.0)
         kept = np.count_nonzero(values > noise)
         return self.error @ left[:, :kept], values[:kept], right[:kept]

@@ -15,6 +15,7 @@ import numpy as np
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.mechanism.configuration import Configuration, require_assembled
+from pm3dof_pin.singular_values import svd
 from pm3dof_pin.tolerances import RANK_CEILING, RANK_GAP
 from pm3dof_pin.typing import Matrix, Vector
 
@@ -157,7 +158,7 @@ class Restriction:
 
     def __init__(self, rows: Matrix, basis: Matrix, ceiling: float = RANK_CEILING) -> None:
         self.rows = rows
-        left, values, right = np.linalg.svd(rows @ basis)
+        left, values, right = svd(rows @ basis)
         self.rank = RankDecision.by_gap(values, float(np.linalg.norm(rows, 2)) if rows.size else 0.0, ceiling)
         rank = self.rank.rank
         self.directions: Matrix = basis @ right.T

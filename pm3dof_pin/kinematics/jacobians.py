@@ -210,13 +210,14 @@ class ReferenceMotions:
 
     def derivatives(self) -> Array:
         """Return the derivative of the Jacobian along each column's motion, shape=(k, m, m), by polarisation."""
-        motions = self.motions
-        count = len(self._by)
-        found = np.empty((len(self._of), count, count))
-        for i in range(count):
-            for j in range(i + 1):
-                terms = [self._acceleration(motions[:, i] + sign * motions[:, j]) for sign in (1.0, -1.0)]
-                found[:, i, j] = found[:, j, i] = 0.25 * (terms[0] - terms[1])
+        motions = self.motions.T
+        alone = np.array([self._acceleration(v) for v in motions])
+        found = np.empty((len(self._of), len(motions), len(motions)))
+        for i, v in enumerate(motions):
+            found[:, i, i] = alone[i]
+            for j in range(i):
+                together = self._acceleration(v + motions[j])
+                found[:, i, j] = found[:, j, i] = 0.5 * (together - alone[i] - alone[j])
         return found
 
     def _acceleration(self, v: Vector) -> Vector:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.singular_values import svd
 from pm3dof_pin.typing import Matrix, Vector
 
 SingularityType = Literal["constraint", "parallel", "serial", "passive"]
@@ -146,7 +145,7 @@ def _rank_losses(dof: DegreesOfFreedom, usual: Mobility) -> tuple[_RankLoss, ...
 
 def _by_movement(motions: Matrix, rows: Matrix) -> Matrix:
     """Rotate a basis of motions so that its columns have descending effect on the rows."""
-    turned: Matrix = motions @ np.linalg.svd(rows @ motions)[2].T
+    turned: Matrix = motions @ svd(rows @ motions)[2].T
     return turned
 
 

@@ -14,7 +14,8 @@ Vectors and matrices are NumPy arrays of dtype object, or lists::
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError, ShapeError
 from pm3dof_pin.programs.program import CODES, OPERATIONS, Program
+from pm3dof_pin.typing import Objects
 
 
 class Graph:
@@ -81,16 +83,22 @@ class Graph:
             raise InvalidValueError("name", repr(name), "an identifier")
         groups = {group: np.array(numbers, dtype=object) for group, numbers in outputs.items()}
         flat = [self._number(number) for array in groups.values() for number in array.ravel()]
-        needed = set(flat)
+        needed = bytearray(len(self._values))
+        for number in flat:
+            needed[number.index] = 1
         for value in reversed(self._values):
-            if value in needed:
-                needed.update(value.operands)
+            if needed[value.index]:
+                for operand in value.operands:
+                    needed[operand.index] = 1
         leaves = [*self._inputs.values(), *self._parameters.values()]
-        order = [value for value in self._values if value in needed]
+        order = [value for value in self._values if needed[value.index]]
         constants = [value for value in order if value.value is not None]
         lines = _by_first_use(order, flat)
         place = {value: number for number, value in enumerate([*leaves, *constants, *lines])}
-        operands = [([place[operand] for operand in line.operands] + [-1, -1])[:3] for line in lines]
+        operands = np.full((3, len(lines)), -1, dtype=np.int32)
+        for k, line in enumerate(lines):
+            for row, operand in enumerate(line.operands):
+                operands[row, k] = place[operand]
         return Program(
             name=name,
             inputs=tuple(self._inputs),
@@ -98,9 +106,23 @@ class Graph:
             outputs={group: array.shape for group, array in groups.items()},
             constants=tuple(float(constant.value or 0.0) for constant in constants),
             codes=bytes([CODES[line.operation] for line in lines]),
-            operands=np.array(operands, dtype=np.int32).reshape(-1, 3).T,
+            operands=operands,
             results=tuple([place[number] for number in flat]),
         )
+
+    def again(self, program: Program, inputs: ArrayLike, parameters: ArrayLike) -> dict[str, Objects]:
+        """Record a program's operations on new inputs and parameters of its names; return its outputs by group.
+
+        `inputs` are those of the sample poses, shape=(s, n), and `parameters` values.
+        """
+        columns = np.asarray(inputs, dtype=float).T
+        leaves = [self.input(name, column) for name, column in zip(program.inputs, columns, strict=True)]
+        leaves += [self.parameter(*each) for each in zip(program.parameters, np.asarray(parameters), strict=True)]
+        values: list[Any] = [*leaves, *map(self.constant, program.constants)]
+        for operation, operands in program.lines:
+            values.append(_RECORDED[operation](*[values[number] for number in operands]))
+        outputs = np.array([values[number] for number in program.results], dtype=object)
+        return {name: outputs[place].reshape(program.outputs[name]) for name, place in program.slices.items()}
 
     def operations(self, *numbers: Scalar) -> int:
         """Return how many operations numbers take together."""
@@ -506,6 +528,29 @@ def _divide(a: Number, b: Number) -> Number:
     if a.value != 1.0:  # one reciprocal serves all divisions by the same number
         return _multiply(a, _divide(a.graph.constant(1.0), b))
     return _record(Number, "divide", a, b)
+
+
+_RECORDED: dict[str, Callable[..., Any]] = {
+    "negative": operator.neg,
+    "add": operator.add,
+    "subtract": operator.sub,
+    "multiply": operator.mul,
+    "divide": operator.truediv,
+    "sqrt": sqrt,
+    "sin": sin,
+    "cos": cos,
+    "atan2": atan2,
+    "absolute": absolute,
+    "floor": floor,
+    "minimum": minimum,
+    "maximum": maximum,
+    "less": less,
+    "and": operator.and_,
+    "or": operator.or_,
+    "not": operator.invert,
+    "select": select,
+}
+"""What records each operation."""
 
 
 def is_zero(number: Scalar) -> bool:

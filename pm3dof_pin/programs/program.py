@@ -180,19 +180,21 @@ class Program:
     def of_results(self, outputs: Mapping[str, tuple[int, ...]], chosen: Sequence[int]) -> Program:
         """Return a program of some of the flat outputs, grouped anew, without the operations they do not need."""
         results, first = [self.results[k] for k in chosen], self.first_line
-        needed = np.zeros(first + len(self), dtype=bool)
-        needed[:first] = True
-        needed[results] = True
-        for number in range(first + len(self) - 1, first - 1, -1):
+        needed = bytearray(first + len(self) + 1)  # the last for the operand -1
+        needed[:first] = bytes([1]) * first
+        for number in results:
+            needed[number] = 1
+        lines = list(enumerate(zip(*self.operands.tolist(), strict=True), first))
+        for number, (a, b, c) in reversed(lines):
             if needed[number]:
-                operands = self.operands[:, number - first]
-                needed[operands[operands >= 0]] = True
-        places = np.append(np.cumsum(needed) - 1, -1).astype(np.int32)  # the operand -1 stays
-        kept = np.flatnonzero(needed[first:])
+                needed[a] = needed[b] = needed[c] = 1
+        is_kept = np.frombuffer(needed, dtype=bool)[:-1]
+        places = np.append(np.cumsum(is_kept) - 1, -1).astype(np.int32)  # the operand -1 stays
+        kept = np.flatnonzero(is_kept[first:])
         return replace(
             self,
             outputs=dict(outputs),
-            codes=bytes(self.codes[k] for k in kept),
+            codes=np.frombuffer(self.codes, dtype=np.uint8)[kept].tobytes(),
             operands=places[self.operands[:, kept]],
             results=tuple(places[results].tolist()),
         )

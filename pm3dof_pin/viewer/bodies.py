@@ -111,7 +111,7 @@ class Bodies(tuple[DrawnBody, ...]):
     def outermost_points(self, configuration: Configuration) -> Array:
         """Return a few points whose convex hull contains nearly all of the machine, shape=(n, 3) [m]."""
         points = self._corner_points(configuration)
-        return np.asarray(points[np.unique((points @ _on_sphere(_DIRECTIONS).T).argmax(axis=0))])
+        return np.asarray(points[np.unique((_on_sphere(_DIRECTIONS) @ points.T).argmax(axis=1))])
 
     def _corner_points(self, configuration: Configuration) -> Array:
         placements = self.placements(configuration)

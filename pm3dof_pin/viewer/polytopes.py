@@ -34,6 +34,7 @@ TITLES: dict[tuple[PolytopeQuantity, Motion], str] = {
 COLOURS: dict[PolytopeQuantity, objects.Colour] = {"force": (0.85, 0.45, 0.0), "speed": (0.0, 0.45, 0.65)}
 
 _OPACITY = 0.16
+_OTHER_CORNERS = np.array([[1, 2], [0, 2], [0, 1]])  # of a triangle, by corner
 _FLAT = 1e-6  # relative to the fastest direction: in slower ones the tool does not move
 
 
@@ -110,13 +111,9 @@ def _hull(corners: Array, axes: Array, unit: str) -> DrawnPolytope:
         number = np.zeros(len(corners), int)
         number[hull.vertices] = np.arange(count)
         triangles, normals = number[hull.simplices], hull.equations[:, :3]
-        edges = np.array(
-            [
-                np.delete(triangles[face], place)
-                for face, others in enumerate(hull.neighbors)
-                for place, other in enumerate(others)
-                if face < other and normals[face] @ normals[other] < 1.0 - SAME
-            ]
-        )
+        others = hull.neighbors  # across from each corner
+        bends = np.einsum("fk,fnk->fn", normals, normals[others]) < 1.0 - SAME
+        face, across = np.nonzero((np.arange(len(others))[:, None] < others) & bends)
+        edges = triangles[face[:, None], _OTHER_CORNERS[across]]
     least = max(0.0, float(-hull.equations[:, -1].max()))
     return DrawnPolytope(frozen(corners[hull.vertices] @ axes.T), triangles, edges, least, unit)

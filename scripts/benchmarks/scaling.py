@@ -48,7 +48,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "receptance": ("receptance", "--configuration", "home"),
     "capability": ("capability", "--configuration", "home"),
     "transmission": ("transmission", "--configuration", "home"),
-    "path": ("path", "near.csv", "--out", "path.csv"),
+    "path": ("path", "near.csv", "--effort", "1e9", "--out", "path.csv"),
     "stiffness-map": ("stiffness-map", "--points", "31", "--no-pictures", "--out", "map"),
     "workspace": ("workspace", "--no-picture", "--out", "space"),
     "atlas": ("atlas", "--counts", "3", "--out", "atlas.nc", "--no-pictures"),
@@ -96,13 +96,17 @@ class Run:
 
 
 def write_path(description: Path, file: Path) -> list[str]:
-    """Write 200 poses, from home a fifth of the way to a random pose; return `--line` and its ends."""
+    """Write 200 poses on a line near home that is within limits; return `--line` and its ends.
+
+    It leads towards a random pose, and does not begin at home, a singular pose of the arms.
+    """
     robot = pm.load(description)
     there = pm.reachable_poses(robot, 1, np.random.default_rng(0)).coordinates
-    coordinates = robot.home_coordinates + np.linspace(0.0, 0.2, 200)[:, None] * (there - robot.home_coordinates)
-    file.write_text(columns_text(readings(robot.coordinates, coordinates)), encoding="utf-8")
-    ends = np.concatenate([robot.at([robot.home.q]).positions, robot.solve(coordinates[-1:]).positions])
-    return ["--line", *map(str, ends.ravel().tolist())]
+    way, part = np.linspace(0.5, 1.0, 200)[:, None] * (there - robot.home_coordinates), 0.2
+    while not (poses := robot.solve(robot.home_coordinates + part * way, on_failure="nan")).within_limits.all():
+        part *= 0.5
+    file.write_text(columns_text(readings(robot.coordinates, poses.coordinates)), encoding="utf-8")
+    return ["--line", *map(str, poses[[0, -1]].positions.ravel().tolist())]
 
 
 def run(family: str, size: int, command: str, arguments: Sequence[str], folder: Path) -> Run:

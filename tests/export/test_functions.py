@@ -6,6 +6,7 @@ import ctypes
 import importlib.util
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -19,11 +20,16 @@ from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
 from pm3dof_pin.export import function_quantities, functions
+from pm3dof_pin.export.controllers import export_controller
 from pm3dof_pin.export.function_quantities import KINEMATICS, QUANTITIES
 from pm3dof_pin.export.functions import export_functions
+from pm3dof_pin.kinematics.closing_programs import ProgramSource
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.programs import cache, llvm
 from pm3dof_pin.programs.walk import Walk
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import stacked
 
 MACHINES = Path(__file__).parents[1] / "machines"
 Exported = Callable[..., ModuleType]
@@ -235,3 +241,17 @@ def test_the_page_and_the_help_name_every_quantity(run: Callable[..., Any]) -> N
     for name in (*KINEMATICS, *QUANTITIES):
         assert f"`{name}`" in page
         assert name in text
+
+
+def test_drives_that_coordinates_leave_open_are_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two hexapods on top of each other: six coordinates of the tool, and six drives each."""
+    robot = pm.load(stacked(2).write(tmp_path / "robot"))
+    monkeypatch.setattr(ProgramSource, "walk", None)  # the work
+    words = "12 independent drives, which 6 coordinates do not determine"
+    with pytest.raises(InvalidValueError, match=words):
+        export_controller(robot, "c", tmp_path / "c")
+    for of in ("all", "compliance"):
+        with pytest.raises(InvalidValueError, match=words):
+            export_functions(robot, [of], "numpy", tmp_path / of)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,13 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.exceptions import ConvergenceError
+from pm3dof_pin.kinematics import assemblies
 from pm3dof_pin.kinematics.assemblies import assembled_homes, closing_trial
+from pm3dof_pin.kinematics.assembly import Assembly
 from pm3dof_pin.kinematics.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from families import scissor
 
 _JOINT = (
     '<link name="{1}"/><joint name="{1}_joint" type="continuous"><parent link="{0}"/><child link="{1}"/>'
@@ -104,3 +110,21 @@ def test_homes_on_both_sides_of_a_three_rpr_are_far_from_its_singular_poses(
     answer("info", str(path), "--assemble", "--branch", "2")
     chosen = homes[1].configuration.commands
     assert answer("ik", "--robot", str(path), *map(str, chosen))["within_limits"] is True
+
+
+@pytest.mark.parametrize(("size", "starts"), [(4, 120), (50, 30)])
+def test_large_robots_are_assembled_from_fewer_starts(
+    size: int, starts: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As often around the described home as within limits, where none closes; a lift of n has 2 n + 2 joints."""
+    robot = Robot.load(scissor(size).write(tmp_path / "robot"))
+    tried: list[Any] = []
+
+    def assemble(robot: Robot, q: Any) -> Assembly:
+        tried.append(q)
+        return Assembly(False, 0, 1.0, robot, q, np.zeros((0, 0)))
+
+    monkeypatch.setattr(assemblies, "assemble", assemble)
+    with pytest.raises(ConvergenceError, match=f"from {starts} random starts none closes"):
+        assembled_homes(robot)
+    assert len(tried) == 2 * starts

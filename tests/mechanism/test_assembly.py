@@ -21,6 +21,7 @@ from pm3dof_pin.kinematics import assembly
 from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.singular_values import svd
 
 CRANK_ROCKER = 0.2, 0.5, 0.4, 0.6
 
@@ -275,3 +276,21 @@ def test_a_whole_orientation_is_found_where_its_angles_are_singular() -> None:
     assert found.steps < 20
     turns = [pin.utils.rotate(axis, angle) for axis, angle in zip("xyz", angles.values(), strict=True)]
     np.testing.assert_allclose(found.configuration.tool_placement.rotation, turns[0] @ turns[1] @ turns[2], atol=1e-9)
+
+
+def test_a_decomposition_that_does_not_converge_is_done_by_iteration(
+    open_crank_rocker: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As LAPACK's divide and conquer for one of some hundred Jacobians of 64 four-bars, of 192 rows."""
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", fail)
+    robot = open_crank_rocker.mechanism
+    start = pin.integrate(robot.model, open_crank_rocker.q, np.full(robot.model.nv, 0.1))
+    found = assemble(robot, start, joints={"crank_joint": np.pi / 2})
+    assert found.converged
+    np.testing.assert_allclose(found.q, open_crank_rocker.q, atol=1e-9)
+    with pytest.raises(np.linalg.LinAlgError):
+        svd(np.full((2, 2), np.nan))

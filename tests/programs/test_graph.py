@@ -204,3 +204,20 @@ def test_folding_keeps_the_value(steps, first, second):
     values = program.evaluate([[first, second]])[0]
     assert np.allclose(values, plain, rtol=1e-11, atol=1e-11)
     assert np.array_equal(values, [number.samples[0] for number in recorded], equal_nan=True)
+
+
+def test_a_program_is_recorded_again_as_part_of_another(graph, a, b):
+    """The sum of squares of a program's outputs, of which conditions and constants are part, against plain Python."""
+    scale = graph.parameter("scale", 2.0)
+    near = less(a, b) & ~less(b, 0.0)
+    first = graph.program("first", {"pair": [select(near, sin(a) / scale, -sqrt(absolute(b))), atan2(b, a) - 0.5]})
+    again = Graph()
+    x, y = again.again(first, SAMPLES.T, [2.0])["pair"]
+    second = again.program("second", {"sum": x * x + y * y})
+    assert (second.inputs, second.parameters) == (("a", "b"), ("scale",))
+    wanted = [
+        (math.sin(p) / 3.0 if q >= 0.0 and p < q else -math.sqrt(abs(q))) ** 2 + (math.atan2(q, p) - 0.5) ** 2
+        for p, q in SAMPLES.T.tolist()
+    ]
+    np.testing.assert_allclose(second.evaluate(SAMPLES.T, [3.0])[:, 0], wanted, rtol=1e-14)
+    np.testing.assert_allclose((x * x).samples, first.evaluate(SAMPLES.T, [2.0])[:, 0] ** 2, rtol=1e-14)

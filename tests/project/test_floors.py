@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 
 # From the lowest layer up. Subpackages of one layer may use each other, in one direction.
 FLOORS = (
-    ("exceptions", "files", "typing", "arrays", "csv_table", "tolerances"),
+    ("exceptions", "files", "typing", "arrays", "csv_table", "singular_values", "tolerances"),
     ("description",),
     ("mechanism",),
     ("programs",),

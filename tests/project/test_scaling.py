@@ -16,7 +16,7 @@ from pm3dof_pin.exceptions import UnreachablePoseError
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
 from families import FAMILIES
-from scaling import Run, exponent, table
+from scaling import COMMANDS, Run, exponent, table, write_path
 
 # size; degrees of freedom by counting: six of a platform, one of a scissor and of each four-bar, six of each hexapod,
 # one of each joint of an arm, six of a walker's body on feet that stay; and drives, of a walker three a leg
@@ -48,6 +48,15 @@ def test_a_tilted_robot_is_the_same_on_another_base(family: str, tmp_path: Path)
     # roll, pitch and yaw about fixed axes
     standing = Rotation.from_euler("xyz", [0.3, 0.2, 1.1]).as_matrix()
     np.testing.assert_allclose(turned[:3], standing @ place[:3], atol=1e-12)
+
+
+@pytest.mark.parametrize("family", ["scissor", "four_bars", "arm"])
+def test_the_path_is_within_reach(family: str, tmp_path: Path, answer: Callable[..., dict[str, Any]]) -> None:
+    path = FAMILIES[family][0](SMALL[family][0]).write(tmp_path / "robot")
+    write_path(path, tmp_path / "near.csv")
+    command, _, *options = COMMANDS["path"][:-2]
+    summary = answer(command, str(tmp_path / "near.csv"), *options, "--robot", str(path))
+    assert summary["points_within_limits"] == summary["points"] > 100
 
 
 def test_table_and_exponents() -> None:
