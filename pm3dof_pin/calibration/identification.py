@@ -51,6 +51,7 @@ _FEW = 3  # steps, in which quadratic convergence is nearly at its end
 _NEAR = 1.0  # the same, below which the minimum is kept
 _SEARCHING = 10  # many steps, after which the minimum is kept however long they are: with few rows, noise has two fits
 _SMOOTH = 2.0  # times the noise: smooth effects of this size over the workspace do not stand out from it
+_OF_MEDIAN = 1.4  # standard error of a variance by the median of squares, over that by their mean
 _BELIEVED = 4.0  # weight of the tolerances' own value, as a number of parameters
 
 
@@ -68,7 +69,7 @@ class Identification:
     #: residuals if larger than the sigmas say; the prior is one standard error of k wider
     joint_covariance: Array
     #: shifts of p, the logarithms of stiffness and y by effects that no parameter describes, as large as residuals show
-    #: beyond the noise, shape=(effects, parameters): predicted poses are as uncertain as that where nothing was seen
+    #: beyond the noise and chance, shape=(effects, parameters): predicted poses are as uncertain where nothing was seen
     beyond: Array
     #: standard deviation of each parameter with what the data cannot tell, shape=(number of parameters,) [m, rad]:
     #: larger than :attr:`data_sigmas` by the shift from smooth unmodelled effects that would be hidden in the noise.
@@ -104,8 +105,11 @@ class Identification:
         covariance, worst = problem.covariances(certainties, (problem.prior.error, 2.0 * problem.prior.error))
         hidden = problem.shifts(certainties, _SMOOTH * factors, covariance)
         variances = np.diag(worst) + np.sum(hidden**2, axis=0)
-        # what residuals show beyond the noise, shared by effects of all kinds, may as much be hidden in the parameters
-        beyond = np.sqrt((factors**2 - 1.0) / (1.0 + problem.measurements.commands.shape[1]))
+        # what residuals show beyond the noise and chance, shared by effects of all kinds, may as much be hidden in the
+        # parameters
+        seen = np.maximum(problem.kinds @ problem.dimensions.sum(axis=0), 1.0)
+        excess = factors**2 * (1.0 - _OF_MEDIAN * np.sqrt(2.0 / seen)) - 1.0
+        beyond = np.sqrt(np.maximum(excess, 0.0) / (1.0 + problem.measurements.commands.shape[1]))
         return cls(
             errors=errors,
             values=frozen(values),

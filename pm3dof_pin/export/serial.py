@@ -70,7 +70,7 @@ def serial_tree(robot: Robot, part: Robot, rigid: Sequence[str] = ()) -> Descrip
         },
         files=None,
     )
-    _require_same_tool(part, Robot.load(tree), held)
+    _require_same_tool(part, Robot.load(replace(tree, tool_frame=None)), held)
     return tree
 
 
