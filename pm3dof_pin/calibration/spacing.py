@@ -40,7 +40,7 @@ def require_room(robot: Robot, count: int, distance: float) -> None:
 
 def _too_many(count: int, most: int, distance: float) -> InvalidValueError:
     expected = f"at most about {most} poses at least {distance:g} of the ranges from each other"
-    return InvalidValueError("count", count, f"{expected}; a smaller distance allows more")
+    return InvalidValueError("poses", count, f"{expected}; a smaller distance allows more")
 
 
 class Spacing:
