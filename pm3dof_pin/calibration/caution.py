@@ -31,6 +31,7 @@ HARM = 0.01
 """Admissible probability, given the parameters, that corrected commands are worse than uncorrected ones."""
 
 _POSES = 800  # at which it is evaluated: over 200 the gain of a few per cent is 3 % likely to be none over others
+_MANY, _FEW_POSES = 150, 200  # parameters from which poses take long, and as many as are evaluated then
 _SINGULAR = 3.0  # times the median effect of the tolerances: a few poses beyond it would outweigh all others
 _MULTIPLIERS = np.logspace(-4.0, 6.0, 81)  # in units of the trace of S M
 
@@ -50,7 +51,8 @@ class Gain:
         values, covariance = compensation.values, compensation.known_covariance
         assert values is not None
         assert covariance is not None
-        poses = reachable_poses(compensation.errors.robot, _POSES, np.random.default_rng(0))
+        count = _POSES if len(values) <= _MANY else _FEW_POSES
+        poses = reachable_poses(compensation.errors.robot, count, np.random.default_rng(0))
         # near singular poses the calibrated machine may not reach what the described one does
         model = compensation.model_poses(poses, on_failure="nan")
         poses, model = poses[model.solved], model[model.solved]

@@ -43,11 +43,13 @@ def _moves_alike(one: Robot, other: Robot) -> bool:
     drives = [[(command.name, command.unit) for command in robot.commands] for robot in (one, other)]
     if drives[0] != drives[1] or not np.allclose(one.home.commands, other.home.commands, rtol=0.0, atol=SAME):
         return False
-    # commands that agree: with more drives than degrees of freedom none can move alone
+    # commands that agree: with more drives than degrees of freedom none can move alone; from home, with a guess, no
+    # way around is sought to poses next to it that cannot be reached
     home = one.at(one.home.q).coordinates
     steps = _TRIED * np.diag(coordinate_scales(one, one.coordinates))
-    poses = one.solve(np.vstack([home, home + steps]), on_failure="nan", engine="pinocchio")
-    places = other.forward(poses.commands, on_failure="nan", engine="pinocchio").transforms
+    targets = np.vstack([home, home + steps])
+    poses = one.solve(targets, guess=one.home, on_failure="nan", engine="pinocchio")
+    places = other.forward(poses.commands, guess=other.home, on_failure="nan", engine="pinocchio").transforms
     return bool(np.allclose(poses.transforms, places, rtol=0.0, atol=SAME, equal_nan=True))
 
 
