@@ -229,10 +229,11 @@ def write_acceptance_plan(
     robot.require_regular_drives(from_home=False)
     transforms = np.tile(robot.configuration(robot.home.q).tool_placement.homogeneous, (len(points), 1, 1))
     transforms[:, :3, 3] = points
-    keeps = len(robot.tool_motions) == len(TOOL_COMPONENTS)
-    if keeps and instantaneous_mobility(robot.home).tool_mobility < len(TOOL_COMPONENTS):
-        keeps = bool(robot.reach(transforms, on_failure="nan").solved.all())
-    nominal = robot.reach(transforms if keeps else points)
+    whole = len(robot.tool_motions) == len(TOOL_COMPONENTS)
+    may_turn = whole and instantaneous_mobility(robot.home).tool_mobility < len(TOOL_COMPONENTS)
+    nominal = robot.reach(transforms if whole else points, on_failure="nan" if may_turn else "raise")
+    if not nominal.solved.all():
+        nominal = robot.reach(points)
     commands = nominal.commands
     if compensation is not None:
         commands = compensation.compensate(nominal, conditions).commands

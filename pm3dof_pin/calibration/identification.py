@@ -192,7 +192,7 @@ class Identification:
         chosen[count:, self._first_nuisance :] = datum
         return frozen(chosen)
 
-    @property
+    @cached_property
     def known_covariance(self) -> Array:
         """The joint covariance with the shifts by what is beyond the noise, and without infinite variances.
 

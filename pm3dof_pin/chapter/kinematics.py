@@ -94,34 +94,33 @@ class Legs:
     @cached_property
     def passive_angles(self) -> Array:
         """Angles of the passive joints, see :func:`passive_joint_angles`, shape=(..., n, 3) [rad]."""
-        x, y, z, (ax, ay, az) = self._in_joints()
-        bx, by, bz = np.moveaxis(self.links, -1, 0)
+        x, y, z, sockets = self._in_joints()
+        (ax, ay, az), (bx, by, bz) = np.moveaxis(sockets, -1, 0), np.moveaxis(self.links, -1, 0)
         across = np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
         angles = np.empty_like(self.links)
         angles[..., 0] = np.arctan2(x, z)
         angles[..., 1] = -np.arctan2(y, np.sqrt(x * x + z * z))
-        angles[..., 2] = np.arctan2(across, ax * bx + ay * by + az * bz)
+        angles[..., 2] = np.arctan2(across, _dot(sockets, self.links))
         return angles
 
     @cached_property
     def passive_cosines(self) -> Array:
         """Cosines of :attr:`passive_angles`, in a third of the time, shape=(..., n, 3)."""
-        x, _, z, axes = self._in_joints()
+        x, _, z, sockets = self._in_joints()
         fold = np.sqrt(x * x + z * z)
-        along = sum(axis * link for axis, link in zip(axes, np.moveaxis(self.links, -1, 0), strict=True))
         cosines = np.empty_like(self.links)
         with np.errstate(invalid="ignore"):
             cosines[..., 0] = z / fold
         cosines[..., 1] = fold / self.tripod.parameters.link_length
-        cosines[..., 2] = along / self.tripod.parameters.link_length
+        cosines[..., 2] = _dot(sockets, self.links) / self.tripod.parameters.link_length
         return cosines
 
     def _in_joints(self) -> tuple[Array, Array, Array, Array]:
-        """Return the links in the frames of their universal joints, and the axes of the sockets in the base frame."""
+        """Return x, y, z of the links in their universal joints, and the sockets' axes in the base frame."""
         frames = np.moveaxis(self.tripod.link_frames, -1, 0)
         bx, by, bz = np.moveaxis(self.links, -1, 0)
         x, y, z = (bx * axis[:, 0] + by * axis[:, 1] + bz * axis[:, 2] for axis in frames)
-        return x, y, z, np.moveaxis(_dotted(self.orientation, self.tripod.socket_axes), -1, 0)
+        return x, y, z, _dotted(self.orientation, self.tripod.socket_axes)
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from pm3dof_pin.kinematics.jacobians import jacobian
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.units import coordinate_scales
 from pm3dof_pin.tolerances import RANK_CEILING
 from pm3dof_pin.typing import Array, Mask
 
@@ -25,7 +26,7 @@ def rates_of_redundant_drives(robot: Robot, poses: Poses) -> Array:
     if not (robot.has_branches and len(robot.placing_drives) == count < len(robot.actuated_joints)):
         return np.zeros((len(poses), 0, 0))
     found = jacobian(robot, poses, of=robot.actuated_joints, by="coordinates", on_failure="nan").values
-    sizes = [robot.characteristic_length if coordinate.unit == "m" else 1.0 for coordinate in robot.coordinates]
+    sizes = coordinate_scales(robot, robot.coordinates)
     return np.asarray(found * sizes / robot.velocity_scale[robot.actuated_indices, None])
 
 
